@@ -1,0 +1,208 @@
+"""The contract between the suite and whatever plugs into it.
+
+A tracker is any class with a ``name``, ``reset`` and ``step``; a plain array is a valid answer. The base
+classes here are for convenience and type checkers: nothing requires inheriting from them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surgbench.camera import Camera
+from surgbench.geometry import FloatArray
+from surgbench.instrument import Instrument
+from surgbench.state import JointLimits
+
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class View:
+    """What one camera saw in one frame.
+
+    Attributes:
+        camera: Intrinsics.
+        T_view_cam: ``(4, 4)`` from the reference camera's frame (in which states are given) to this camera's.
+        mask: ``(height, width)`` bool: the instruments.
+        instance_masks: One mask per arm where the recording tells the arms apart, else ``None``.
+        keypoints: Per arm ``(2, 2)`` tip pixels in no particular order, or ``None`` where not both were seen.
+        image: Call it for the ``(height, width, 3)`` uint8 RGB image; ``None`` where there are no images.
+    """
+
+    camera: Camera
+    T_view_cam: FloatArray
+    mask: Mask
+    instance_masks: tuple[Mask, ...] | None = None
+    keypoints: tuple[FloatArray | None, ...] = (None,)
+    image: Callable[[], NDArray[np.uint8] | None] = lambda: None
+
+
+@dataclass(frozen=True)
+class Observation:
+    """What a tracker may know of one frame.
+
+    Attributes:
+        index: Frame number, from 0.
+        timestamp_s: Seconds since the first frame.
+        views: At least one; ``views[0]`` is the reference camera.
+        start: ``(9 * arms,)`` where this frame's search begins: the filtered state, joints within limits,
+            replaced by the readings where there are any.
+        joints: Joint readings, ``(3,)`` or ``(2, 3)``, clipped to the search limits; ``None`` without readings.
+        kinematics: ``(4, 4)`` the robot's own reading of its tool pose where the dataset has one.
+    """
+
+    index: int
+    timestamp_s: float
+    views: tuple[View, ...]
+    start: FloatArray
+    joints: FloatArray | None = None
+    kinematics: FloatArray | None = None
+
+    @property
+    def mask(self) -> Mask:
+        """Mask of the reference view."""
+        return self.views[0].mask
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What stays the same over a sequence.
+
+    Attributes:
+        instruments: One per arm.
+        views: The cameras, with empty masks.
+        limits: Joint box of each arm that states must stay in.
+        dt_s: Seconds between frames.
+        arms: 1 or 2.
+        speed: ``"nominal"`` or ``"fast"``: how fast the instruments move, where the recording's author knows.
+    """
+
+    instruments: tuple[Instrument, ...]
+    views: tuple[View, ...]
+    limits: tuple[JointLimits, ...]
+    dt_s: float
+    arms: int
+    speed: str = "nominal"
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A tracker's answer.
+
+    Attributes:
+        state: ``(9 * arms,)``.
+        confidence: 0 to 1.
+        lost: The tracker itself thinks it has lost the instrument.
+    """
+
+    state: FloatArray
+    confidence: float = 1.0
+    lost: bool = False
+
+
+class Plugin:
+    """Base of everything the registry finds by name. ``Config`` holds its options, each with a default."""
+
+    name: ClassVar[str]
+    summary: ClassVar[str] = ""
+
+
+class InstrumentTracker(Plugin):
+    """Estimates the state of one or two instruments frame by frame."""
+
+    def reset(self, scene: Scene, state: FloatArray, rng: np.random.Generator) -> None:
+        """Start a sequence at ``state`` (``(9 * arms,)``). Untimed; everything slow belongs here."""
+        raise NotImplementedError
+
+    def step(self, observation: Observation) -> FloatArray | Estimate:
+        """Estimate the state of one frame. Timed."""
+        raise NotImplementedError
+
+
+@dataclass
+class Trace:
+    """Candidates a tracker looked at in its last step, for drawing: one entry per iteration.
+
+    Attributes:
+        states: Each ``(n, 9 * arms)``, best first.
+        losses: Each ``(n,)``.
+    """
+
+    states: list[FloatArray] = field(default_factory=list)
+    losses: list[FloatArray] = field(default_factory=list)
+
+
+@runtime_checkable
+class Traceable(Protocol):
+    """A tracker that can show its candidates: set ``trace`` to a :class:`Trace` and it fills it."""
+
+    trace: Trace | None
+
+
+@runtime_checkable
+class Initialiser(Protocol):
+    """Finds the state of a sequence's first frame."""
+
+    name: ClassVar[str]
+    needs_truth: ClassVar[bool]
+
+    def initialise(
+        self,
+        scene: Scene,
+        observation: Observation,
+        rng: np.random.Generator,
+        truth: FloatArray | None,
+        progress: Callable[[float], None],
+    ) -> FloatArray:
+        """State ``(9 * arms,)`` of the first frame.
+
+        Args:
+            scene: The sequence's constants.
+            observation: The first frame; its ``start`` means nothing yet.
+            rng: The only source of randomness.
+            truth: True state, given only to initialisers with ``needs_truth``.
+            progress: Call it with the fraction done, 0 to 1.
+        """
+        ...
+
+
+@runtime_checkable
+class StateFilter(Protocol):
+    """Predicts where the next frame's search begins and smooths nothing that is reported."""
+
+    name: ClassVar[str]
+
+    def reset(self, scene: Scene, state: FloatArray) -> None:
+        """Start at ``state``, ``(9 * arms,)``."""
+        ...
+
+    def predict(self) -> FloatArray:
+        """State predicted for the frame to come, ``(9 * arms,)``."""
+        ...
+
+    def update(self, estimate: FloatArray) -> FloatArray:
+        """Take a frame's estimate in; returns the filtered state."""
+        ...
+
+
+@runtime_checkable
+class KeypointSource(Protocol):
+    """Finds the two tips of each arm in a view."""
+
+    name: ClassVar[str]
+
+    def reset(self, scene: Scene) -> None:
+        """Start a sequence."""
+        ...
+
+    def detect(self, observation: Observation, view: View) -> tuple[FloatArray | None, ...]:
+        """Per arm ``(2, 2)`` pixels, or ``None`` where not exactly two tips were found."""
+        ...
+
+
+Options = dict[str, Any]

@@ -1,0 +1,147 @@
+"""An instrument ready for use: link tables, meshes in link frames, forward kinematics."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surgbench.geometry import FloatArray, look_at_rotation
+from surgbench.instrument.spec import JOINT_NAMES, InstrumentSpec, LinkPoint
+from surgbench.state import ANGLES, JOINTS, POSITION, JointLimits
+
+
+@dataclass(frozen=True)
+class LinkMesh:
+    """A closed triangle mesh in its link's frame.
+
+    Attributes:
+        vertices_m: ``(V, 3)`` float64, rounded to float32 so that every reader sees the same numbers.
+        faces: ``(F, 3)`` int32, counter-clockwise seen from outside.
+    """
+
+    vertices_m: FloatArray
+    faces: NDArray[np.int32]
+
+
+@dataclass(frozen=True)
+class Instrument:
+    """One instrument: what its file says, and one closed mesh per link that has a body.
+
+    Attributes:
+        spec: The instrument file.
+        meshes: Link name to mesh; links without a body are absent.
+    """
+
+    spec: InstrumentSpec
+    meshes: dict[str, LinkMesh]
+
+    @property
+    def name(self) -> str:
+        """The instrument's name, as in its file."""
+        return self.spec.name
+
+    @cached_property
+    def search_limits(self) -> JointLimits:
+        """Joint box that trackers search, radians."""
+        return self._limits("search_rad")
+
+    @cached_property
+    def generate_limits(self) -> JointLimits:
+        """Joint box that generated data stays in, radians."""
+        return self._limits("generate_rad")
+
+    def _limits(self, key: str) -> JointLimits:
+        box = np.array([getattr(self.spec.joints[name], key) for name in JOINT_NAMES], dtype=np.float64)  # type: ignore[index]
+        return JointLimits(box[:, 0], box[:, 1])
+
+    @cached_property
+    def link_index(self) -> dict[str, int]:
+        """Link name to its place in the chain."""
+        return {link.name: index for index, link in enumerate(self.spec.links)}
+
+    @cached_property
+    def parents(self) -> NDArray[np.int32]:
+        """``(L,)`` index of each link's parent, -1 for the first."""
+        return np.array([-1 if link.parent is None else self.link_index[link.parent] for link in self.spec.links], np.int32)
+
+    @cached_property
+    def fixed_transforms(self) -> FloatArray:
+        """``(L, 4, 4)``: the part ``Rx(alpha) Tx(a) Tz(d)`` of each link's transform that no joint moves."""
+        transforms = np.tile(np.eye(4), (len(self.spec.links), 1, 1))
+        for transform, link in zip(transforms, self.spec.links, strict=True):
+            c, s = np.cos(link.alpha_rad), np.sin(link.alpha_rad)
+            transform[:3, :3] = [[1, 0, 0], [0, c, -s], [0, s, c]]
+            # Rz and Tz commute, so that Tz(d) may stand before Rz(theta).
+            transform[:3, 3] = [link.a_m, -s * link.d_m, c * link.d_m]
+        return transforms
+
+    @cached_property
+    def theta_offsets_rad(self) -> FloatArray:
+        """``(L,)`` constant part of each link's theta."""
+        return np.array([link.theta_offset_rad for link in self.spec.links])
+
+    @cached_property
+    def theta_gains(self) -> FloatArray:
+        """``(L, 3)``: ``theta = theta_offsets_rad + theta_gains @ [q1, q2, q3]``."""
+        gains = np.zeros((len(self.spec.links), 3))
+        for row, link in zip(gains, self.spec.links, strict=True):
+            if link.joint is not None:
+                row[JOINT_NAMES.index(link.joint)] = link.joint_scale
+        return gains
+
+    def link_transforms(self, states: FloatArray) -> FloatArray:
+        """Forward kinematics: where every link is in the camera frame.
+
+        Args:
+            states: ``(..., 9)``.
+
+        Returns:
+            ``(..., L, 4, 4)`` T_cam_link, links in the file's order.
+        """
+        states = np.asarray(states, dtype=np.float64)
+        lead = states.shape[:-1]
+        transforms = np.zeros((*lead, len(self.spec.links), 4, 4))
+        base = np.zeros((*lead, 4, 4))
+        base[..., :3, :3] = look_at_rotation(states[..., ANGLES])
+        base[..., :3, 3] = states[..., POSITION]
+        base[..., 3, 3] = 1.0
+        theta = self.theta_offsets_rad + states[..., JOINTS] @ self.theta_gains.T
+        cos, sin = np.cos(theta), np.sin(theta)
+        for index, parent in enumerate(self.parents):
+            turn = np.zeros((*lead, 4, 4))
+            turn[..., 0, 0] = turn[..., 1, 1] = cos[..., index]
+            turn[..., 1, 0] = sin[..., index]
+            turn[..., 0, 1] = -sin[..., index]
+            turn[..., 2, 2] = turn[..., 3, 3] = 1.0
+            above = base if parent < 0 else transforms[..., parent, :, :]
+            transforms[..., index, :, :] = above @ self.fixed_transforms[index] @ turn
+        return transforms
+
+    def points_cam(self, states: FloatArray, points: tuple[LinkPoint, ...]) -> FloatArray:
+        """Where points fixed to links are in the camera frame.
+
+        Args:
+            states: ``(..., 9)``.
+            points: P points.
+
+        Returns:
+            ``(..., P, 3)`` metres.
+        """
+        transforms = self.link_transforms(states)
+        placed = []
+        for point in points:
+            transform = transforms[..., self.link_index[point.link], :, :]
+            placed.append(transform[..., :3, :3] @ np.array(point.point_m) + transform[..., :3, 3])
+        return np.stack(placed, axis=-2)
+
+    def tips_cam(self, states: FloatArray) -> FloatArray:
+        """The two jaw tips (keypoints of eq. 8) in the camera frame, ``(..., 2, 3)`` metres."""
+        return self.points_cam(states, self.spec.tips)
+
+    def skeleton_cam(self, states: FloatArray) -> FloatArray:
+        """End points of the bones drawn in overlays, ``(..., B, 2, 3)`` metres."""
+        flat = self.points_cam(states, tuple(point for bone in self.spec.skeleton for point in bone))
+        return flat.reshape(*flat.shape[:-2], -1, 2, 3)

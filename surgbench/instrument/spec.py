@@ -1,0 +1,153 @@
+"""What an instrument file says: links in modified Denavit-Hartenberg convention, limits, tips, shapes."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Range = tuple[Finite, Finite]
+Vector3 = tuple[Finite, Finite, Finite]
+
+JOINT_NAMES = ("wrist_pitch", "wrist_yaw", "jaw")
+JointName = Literal["wrist_pitch", "wrist_yaw", "jaw"]
+
+
+class Strict(BaseModel):
+    """Base of all parts of an instrument file: unknown keys are errors, values never change."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class Section(Strict):
+    """One cross-section of a loft: a superellipse ``|a/ra|^n + |b/rb|^n = 1`` across the loft's axis.
+
+    Attributes:
+        at_m: Where along the axis.
+        centre_m: Offset of the centre along the two cross axes.
+        radii_m: Half widths along the two cross axes.
+        exponent: 2 is an ellipse, larger is boxier.
+    """
+
+    at_m: Finite
+    centre_m: tuple[Finite, Finite] = (0.0, 0.0)
+    radii_m: tuple[Annotated[float, Field(gt=0)], Annotated[float, Field(gt=0)]]
+    exponent: Annotated[float, Field(ge=1.0, le=20.0)] = 2.0
+
+
+class Loft(Strict):
+    """A closed solid swept through cross-sections along one axis of the link frame.
+
+    The cross axes follow the axis cyclically: (y, z) for x, (z, x) for y, (x, y) for z.
+    """
+
+    axis: Literal["x", "y", "z"]
+    sides: Annotated[int, Field(ge=3, le=256)] = 16
+    sections: Annotated[tuple[Section, ...], Field(min_length=2)]
+
+    @model_validator(mode="after")
+    def _increasing(self) -> Loft:
+        places = [section.at_m for section in self.sections]
+        if any(b <= a for a, b in zip(places, places[1:], strict=False)):
+            raise ValueError("sections must have increasing at_m")
+        return self
+
+
+class MeshFile(Strict):
+    """A triangle mesh beside the instrument file (STL, OBJ or PLY).
+
+    Attributes:
+        path: Relative to the instrument file.
+        scale: Multiplies the coordinates (0.001 for a file in millimetres).
+        rotation: Row-major ``(3, 3)`` from the file's frame to the link frame.
+        translation_m: Added after the rotation.
+        close_holes: Mend open meshes with pymeshlab (extra ``meshes``).
+        max_triangles: Reduce larger meshes with pymeshlab (extra ``meshes``).
+    """
+
+    path: str
+    scale: Annotated[float, Field(gt=0)] = 1.0
+    rotation: tuple[Vector3, Vector3, Vector3] = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
+    translation_m: Vector3 = (0.0, 0.0, 0.0)
+    close_holes: bool = False
+    max_triangles: Annotated[int, Field(ge=4)] | None = None
+
+
+class Link(Strict):
+    """One rigid body. Its frame is ``T_parent · Rx(alpha) Tx(a) Rz(theta) Tz(d)`` (Craig's convention).
+
+    ``theta = theta_offset_rad + joint_scale * q[joint]``. The first link has no parent: its frame is the
+    wrist-pitch frame (DH frame 4, z along the shaft towards the jaws) whose pose the state gives.
+    """
+
+    name: str
+    parent: str | None = None
+    alpha_rad: Finite = 0.0
+    a_m: Finite = 0.0
+    d_m: Finite = 0.0
+    theta_offset_rad: Finite = 0.0
+    joint: JointName | None = None
+    joint_scale: Finite = 1.0
+    shapes: tuple[Loft, ...] = ()
+    mesh: MeshFile | None = None
+
+    @model_validator(mode="after")
+    def _one_geometry(self) -> Link:
+        if self.mesh is not None and self.shapes:
+            raise ValueError(f"link '{self.name}' has both 'shapes' and 'mesh'; give one")
+        return self
+
+
+class LinkPoint(Strict):
+    """A point fixed to a link, metres in the link's frame."""
+
+    link: str
+    point_m: Vector3
+
+
+class Joint(Strict):
+    """Limits of one joint, radians: what trackers search, and what the generator draws."""
+
+    search_rad: Range
+    generate_rad: Range
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Joint:
+        for name, (low, high) in (("search_rad", self.search_rad), ("generate_rad", self.generate_rad)):
+            if not low < high:
+                raise ValueError(f"{name} must be [lower, upper] with lower < upper")
+        return self
+
+
+class InstrumentSpec(Strict):
+    """An instrument file. See ``docs/instruments.md`` for a commented example."""
+
+    format: Literal["surgbench-instrument-1"]
+    name: Annotated[str, Field(pattern=r"^[a-z0-9_]+$")]
+    title: str
+    sources: tuple[str, ...] = ()
+    joints: dict[JointName, Joint]
+    links: Annotated[tuple[Link, ...], Field(min_length=1)]
+    tips: tuple[LinkPoint, LinkPoint]
+    skeleton: tuple[tuple[LinkPoint, LinkPoint], ...] = ()
+
+    @model_validator(mode="after")
+    def _consistent(self) -> InstrumentSpec:
+        missing = [name for name in JOINT_NAMES if name not in self.joints]
+        if missing:
+            raise ValueError(f"joints lacks '{missing[0]}'")
+        seen: set[str] = set()
+        for index, link in enumerate(self.links):
+            if link.name in seen:
+                raise ValueError(f"two links are named '{link.name}'")
+            if (link.parent is None) != (index == 0):
+                raise ValueError(f"link '{link.name}': the first link, and only it, has no parent")
+            if link.parent is not None and link.parent not in seen:
+                raise ValueError(f"link '{link.name}': its parent '{link.parent}' must stand before it")
+            seen.add(link.name)
+        points = [*self.tips, *(point for bone in self.skeleton for point in bone)]
+        for point in points:
+            if point.link not in seen:
+                raise ValueError(f"unknown link '{point.link}' in tips or skeleton")
+        return self

@@ -1,0 +1,109 @@
+"""The instrument state, its 180-degree twin, and the unconstrained space the trackers search.
+
+A state is ``[alpha, beta, gamma, x, y, z, q1, q2, q3]`` (radians, metres, radians): the pose of the
+wrist-pitch frame in the camera and the wrist pitch, wrist yaw and half jaw angle. Two arms are two
+states, left first, shape ``(18,)``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from surgbench.geometry import FloatArray
+
+STATE_SIZE = 9
+STATE_NAMES = ("alpha", "beta", "gamma", "x", "y", "z", "q1", "q2", "q3")
+ALPHA, BETA, GAMMA = 0, 1, 2
+ANGLES = slice(0, 3)
+POSITION = slice(3, 6)
+JOINTS = slice(6, 9)
+
+# Natural step of each component: 0.01 rad for alpha and gamma, 0.1 rad for beta, 1 mm, 0.1 rad for joints
+# (the paper's released settings; see docs/conventions.md).
+STATE_SCALE = np.array([0.01, 0.1, 0.01, 1e-3, 1e-3, 1e-3, 0.1, 0.1, 0.1])
+
+
+@dataclass(frozen=True)
+class JointLimits:
+    """Box of the three joints.
+
+    Attributes:
+        lower_rad: ``(3,)``.
+        upper_rad: ``(3,)``.
+    """
+
+    lower_rad: FloatArray
+    upper_rad: FloatArray
+
+    def clip(self, joints_rad: FloatArray) -> FloatArray:
+        """Clip ``(..., 3)`` joints into the box."""
+        return np.clip(joints_rad, self.lower_rad, self.upper_rad)
+
+
+def split_arms(state: FloatArray) -> FloatArray:
+    """View a state of one or two arms as ``(..., arms, 9)``."""
+    array = np.asarray(state, dtype=np.float64)
+    return array.reshape(*array.shape[:-1], -1, STATE_SIZE)
+
+
+def clip_joints(state: FloatArray, limits: JointLimits) -> FloatArray:
+    """Copy of ``(..., 9 * arms)`` states with the joints clipped to ``limits``."""
+    clipped = np.array(state, dtype=np.float64, order="C")
+    arms = split_arms(clipped)
+    arms[..., JOINTS] = limits.clip(arms[..., JOINTS])
+    return clipped
+
+
+def twin(state: FloatArray) -> FloatArray:
+    """The state turned by 180 degrees about the shaft with both wrist joints reversed.
+
+    Its silhouette is nearly the same: ``(beta + pi, -q1, -q2)``.
+
+    Args:
+        state: ``(..., 9)``.
+
+    Returns:
+        ``(..., 9)``; applied twice it returns the state up to a full turn of beta.
+    """
+    turned = np.array(state, dtype=np.float64)
+    turned[..., BETA] += np.pi
+    turned[..., 6:8] *= -1.0
+    return turned
+
+
+class StateSpace:
+    """Maps states to the scaled, unconstrained vectors that optimisers search, and back.
+
+    Joints go through the cosine reparameterisation (Hu et al. 2026, eq. 11 and 12), so that every vector
+    is a feasible state; then each component is divided by its natural step.
+
+    Args:
+        limits: Joint box of one instrument.
+        scale: ``(9,)`` step of each component (``STATE_SCALE`` unless told).
+        arms: 1 or 2; vectors have ``9 * arms`` components.
+    """
+
+    def __init__(self, limits: JointLimits, scale: FloatArray = STATE_SCALE, arms: int = 1) -> None:
+        self.limits = limits
+        self.arms = arms
+        self.scale: FloatArray = np.tile(np.asarray(scale, dtype=np.float64), arms)
+
+    def encode(self, state: FloatArray) -> FloatArray:
+        """States ``(..., 9 * arms)`` to search vectors; joints outside the limits are clipped first."""
+        free = clip_joints(state, self.limits)
+        joints = split_arms(free)[..., JOINTS]
+        span = self.limits.upper_rad - self.limits.lower_rad
+        fraction = (joints - self.limits.lower_rad) / span
+        split_arms(free)[..., JOINTS] = self.limits.lower_rad + span / np.pi * np.arccos(1.0 - 2.0 * fraction)
+        return free / self.scale
+
+    def decode(self, vector: FloatArray) -> FloatArray:
+        """Search vectors ``(..., 9 * arms)`` to states whose joints lie within the limits."""
+        state: FloatArray = np.ascontiguousarray(vector, dtype=np.float64) * self.scale
+        joints = split_arms(state)[..., JOINTS]
+        span = self.limits.upper_rad - self.limits.lower_rad
+        phase = np.pi * (joints - self.limits.lower_rad) / span
+        joints[...] = self.limits.lower_rad + span / 2.0 * (1.0 - np.cos(phase))
+        return state
