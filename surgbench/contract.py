@@ -21,6 +21,10 @@ from surgbench.state import JointLimits
 Mask = NDArray[np.bool_]
 
 
+def no_image() -> None:
+    """The image of a view that has none."""
+
+
 @dataclass(frozen=True)
 class View:
     """What one camera saw in one frame.
@@ -39,7 +43,7 @@ class View:
     mask: Mask
     instance_masks: tuple[Mask, ...] | None = None
     keypoints: tuple[FloatArray | None, ...] = (None,)
-    image: Callable[[], NDArray[np.uint8] | None] = lambda: None
+    image: Callable[[], NDArray[np.uint8] | None] = no_image
 
 
 @dataclass(frozen=True)

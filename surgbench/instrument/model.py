@@ -65,7 +65,8 @@ class Instrument:
     @cached_property
     def parents(self) -> NDArray[np.int32]:
         """``(L,)`` index of each link's parent, -1 for the first."""
-        return np.array([-1 if link.parent is None else self.link_index[link.parent] for link in self.spec.links], np.int32)
+        parents = [-1 if link.parent is None else self.link_index[link.parent] for link in self.spec.links]
+        return np.array(parents, np.int32)
 
     @cached_property
     def fixed_transforms(self) -> FloatArray:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Range = tuple[Finite, Finite]
@@ -49,7 +51,7 @@ class Loft(Strict):
     @model_validator(mode="after")
     def _increasing(self) -> Loft:
         places = [section.at_m for section in self.sections]
-        if any(b <= a for a, b in zip(places, places[1:], strict=False)):
+        if any(b <= a for a, b in itertools.pairwise(places)):
             raise ValueError("sections must have increasing at_m")
         return self
 
@@ -73,6 +75,14 @@ class MeshFile(Strict):
     close_holes: bool = False
     max_triangles: Annotated[int, Field(ge=4)] | None = None
 
+    @field_validator("rotation")
+    @classmethod
+    def _rigid(cls, rows: tuple[Vector3, Vector3, Vector3]) -> tuple[Vector3, Vector3, Vector3]:
+        matrix = np.array(rows)
+        if not np.allclose(matrix @ matrix.T, np.eye(3), atol=1e-3) or np.linalg.det(matrix) < 0:
+            raise ValueError("the rows must be those of a rotation matrix (for other units use 'scale')")
+        return rows
+
 
 class Link(Strict):
     """One rigid body. Its frame is ``T_parent · Rx(alpha) Tx(a) Rz(theta) Tz(d)`` (Craig's convention).
@@ -81,7 +91,7 @@ class Link(Strict):
     wrist-pitch frame (DH frame 4, z along the shaft towards the jaws) whose pose the state gives.
     """
 
-    name: str
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+$")]
     parent: str | None = None
     alpha_rad: Finite = 0.0
     a_m: Finite = 0.0

@@ -1,0 +1,448 @@
+"""The whole job: from a preset to a dataset on disk, resumable after any interruption, the same bytes every time."""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import json
+import os
+import shutil
+import signal
+import tempfile
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from dataclasses import dataclass
+from multiprocessing import connection, get_context, parent_process
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from surgbench import __version__
+from surgbench.dataset import tables
+from surgbench.dataset.format import (
+    ARMS,
+    FORMAT,
+    MANIFEST_NAME,
+    MARKER_NAME,
+    Arm,
+    Manifest,
+    MaskKind,
+    SequenceEntry,
+    clean_mask_path,
+    instrument_folder,
+    observations_path,
+    observed_path,
+    read_manifest,
+    sequence_files,
+    states_path,
+)
+from surgbench.dataset.masks import PNG_END, Mask, encode_mask
+from surgbench.dataset.storage import describe_files, storage_error
+from surgbench.errors import ConfigError, DatasetError, SurgbenchError
+from surgbench.files import PARTIAL_SUFFIX, write_atomic
+from surgbench.generators.corruption import corrupt
+from surgbench.generators.observations import observe_joints, observe_keypoints
+from surgbench.generators.presets import Corruption, Preset
+from surgbench.generators.render import MaskRenderer
+from surgbench.generators.trajectories import make_pair
+from surgbench.geometry import FloatArray
+from surgbench.instrument import Instrument, load_instrument, save_instrument
+from surgbench.randomness import generator
+
+CAMERA_NAME = "endoscope"
+KINDS: tuple[MaskKind, ...] = ("left", "right", "both")
+CHUNK_FRAMES = 20
+# A file takes at least a block of the disk.
+BLOCK_BYTES = 4096
+# Of a 1-bit mask's pixels, how many bytes the PNG takes at most, measured with room to spare.
+MASK_BYTES_PER_PIXEL = 0.01
+TABLE_BYTES_PER_FRAME = 400
+MANIFEST_BYTES_PER_FILE = 160
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a generation will make.
+
+    Attributes:
+        preset: Effective preset.
+        instrument: Of both arms.
+        sequences: The dataset's sequences.
+        marker: Effective configuration as it is kept in the folder until the dataset is complete.
+        instrument_files: Names and bytes of the instrument's own files.
+    """
+
+    preset: Preset
+    instrument: Instrument
+    sequences: tuple[SequenceEntry, ...]
+    marker: dict[str, Any]
+    instrument_files: dict[str, bytes]
+
+    @property
+    def frames(self) -> int:
+        """Frames over all sequences."""
+        return sum(entry.frames for entry in self.sequences)
+
+    @property
+    def paths(self) -> list[str]:
+        """Every file but the manifest."""
+        return [*self.instrument_files, *(path for entry in self.sequences for path in sequence_files(entry))]
+
+    @property
+    def disk_bytes(self) -> int:
+        """Disk that the whole dataset takes, an upper estimate."""
+        camera = self.preset.camera
+        mask = _blocks(camera.width * camera.height * MASK_BYTES_PER_PIXEL) * 2 * len(KINDS)
+        files = len(self.paths)
+        return int(self.frames * (mask + TABLE_BYTES_PER_FRAME) + _blocks(files * MANIFEST_BYTES_PER_FILE))
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """Frames that one worker renders: consecutive ones of a sequence.
+
+    Attributes:
+        entry: The sequence.
+        start: First frame.
+        states: ``(n, 2, 9)`` true states.
+    """
+
+    entry: SequenceEntry
+    start: int
+    states: FloatArray
+
+
+def plan_dataset(preset: Preset) -> Plan:
+    """Work out what a preset makes, without making it.
+
+    Raises:
+        SurgbenchError: The preset's instrument is unknown or its file is wrong.
+    """
+    instrument = load_instrument(preset.instrument)
+    fast = int(preset.pairs * preset.motion.fast_share)
+    digits = max(3, len(str(preset.pairs - 1)))
+    sequences = tuple(
+        SequenceEntry(
+            id=f"{index:0{digits}d}",
+            frames=preset.frames,
+            dt_s=preset.dt_s,
+            speed="fast" if index >= preset.pairs - fast else "nominal",
+            camera=CAMERA_NAME,
+            arms=ARMS,
+            instruments=dict.fromkeys(ARMS, instrument.name),
+            kinds=KINDS,
+            keypoints=True,
+            readings=True,
+            truth=True,
+        )
+        for index in range(preset.pairs)
+    )
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch)
+        written = sorted(save_instrument(instrument, folder))
+        files = {
+            f"{instrument_folder(instrument.name)}/{path.relative_to(folder)}": path.read_bytes() for path in written
+        }
+    marker = {
+        "format": FORMAT,
+        "preset": preset.model_dump(mode="json"),
+        "instrument_sha256": {path: hashlib.sha256(data).hexdigest() for path, data in files.items()},
+    }
+    return Plan(preset, instrument, sequences, marker, files)
+
+
+def generate(
+    plan: Plan,
+    out: Path,
+    *,
+    jobs: int = 1,
+    say: Callable[[str], None] = lambda line: None,
+    progress: Callable[[float], None] = lambda frames: None,
+) -> bool:
+    """Make a dataset, or finish one that was interrupted.
+
+    Args:
+        plan: From :func:`plan_dataset`.
+        out: The dataset's folder: new, empty, or one where the same generation was interrupted.
+        jobs: Worker processes. The bytes do not depend on it.
+        say: Takes a line about what is going to be done.
+        progress: Takes the number of frames just done.
+
+    Returns:
+        ``False`` if the dataset was complete already and nothing was done.
+
+    Raises:
+        ConfigError: The preset's workspace is too tight for its motion.
+        DatasetError: The folder holds something else, or another process is at work in it.
+        SurgbenchError: The disk lacks room, before or during the work, or a worker died.
+    """
+    _refuse_other_content(plan, out)
+    if _is_complete(plan, out):
+        return False
+    fresh = not out.exists() or not any(out.iterdir())
+    done = {path for path in plan.paths if (out / path).is_file()} if out.is_dir() else set()
+    _check_disk(plan, out, len(done) / len(plan.paths), say)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        with _locked(out):
+            _remove_partial(out)
+            write_atomic(out / MARKER_NAME, json.dumps(plan.marker, sort_keys=True, indent=1).encode())
+            for path, data in plan.instrument_files.items():
+                write_atomic(out / path, data)
+            _render_all(plan, out, jobs, progress)
+            _remove_partial(out)
+            write_atomic(out / MANIFEST_NAME, _manifest(plan, out).to_bytes())
+            (out / MARKER_NAME).unlink()
+    except ConfigError:
+        # These settings can never be finished.
+        if fresh:
+            shutil.rmtree(out)
+        raise
+    except OSError as error:
+        raise storage_error(error, out, "run the same command again, it goes on from here") from None
+    except BrokenProcessPool:
+        raise SurgbenchError(
+            f"{out}: a worker process was killed (out of memory?); "
+            "run the same command again, with fewer --jobs, to go on"
+        ) from None
+    return True
+
+
+def _blocks(size: float) -> int:
+    return -(-int(size) // BLOCK_BYTES) * BLOCK_BYTES
+
+
+def _refuse_other_content(plan: Plan, out: Path) -> None:
+    """Raise unless the folder is missing, empty, or holds this very dataset, whole or in part."""
+    if not out.exists():
+        return
+    if not out.is_dir():
+        raise DatasetError(f"{out}: is a file; --out needs a new or empty folder")
+    entries = sorted(path.name for path in out.iterdir() if not path.name.endswith(PARTIAL_SUFFIX))
+    if not entries:
+        return
+    if MANIFEST_NAME in entries:
+        manifest, _ = read_manifest(out)
+        if manifest.configuration != _configuration(plan):
+            raise DatasetError(
+                f"{out}: holds another dataset ('{manifest.name}', other settings); choose another --out"
+            )
+        return
+    marker = out / MARKER_NAME
+    if not marker.is_file():
+        raise DatasetError(f"{out}: holds something else ('{entries[0]}'); --out needs a new or empty folder")
+    try:
+        same = json.loads(marker.read_bytes()) == plan.marker
+    except ValueError:
+        raise DatasetError(f"{marker}: damaged; delete the folder {out} and start again") from None
+    if not same:
+        raise DatasetError(
+            f"{out}: an unfinished dataset with other settings lies here; choose another --out or delete it"
+        )
+    expected = {*plan.paths, MARKER_NAME}
+    for path in sorted(out.rglob("*")):
+        name = path.relative_to(out).as_posix()
+        if path.is_file() and name not in expected and not name.endswith(PARTIAL_SUFFIX):
+            raise DatasetError(f"{path}: does not belong to this dataset; move it away, or choose another --out")
+
+
+def _is_complete(plan: Plan, out: Path) -> bool:
+    if not (out / MANIFEST_NAME).is_file():
+        return False
+    # Killed between the manifest and the last step.
+    (out / MARKER_NAME).unlink(missing_ok=True)
+    return True
+
+
+def _check_disk(plan: Plan, out: Path, share_done: float, say: Callable[[str], None]) -> None:
+    parent = next(folder for folder in (out.absolute(), *out.absolute().parents) if folder.is_dir())
+    free = shutil.disk_usage(parent).free
+    need = int(plan.disk_bytes * (1.0 - share_done))
+    resumed = f", {share_done:.0%} of its files are there already" if share_done else ""
+    say(
+        f"{plan.preset.name}: {len(plan.sequences)} sequences of two arms, {plan.frames} frames, "
+        f"about {plan.disk_bytes / 1e6:.0f} MB{resumed}; {free / 1e6:.0f} MB free"
+    )
+    if free < need:
+        raise SurgbenchError(
+            f"{out}: the disk has {free / 1e6:.0f} MB free but {need / 1e6:.0f} MB are needed; "
+            "make room, choose another --out, or fewer --sequences or --frames"
+        )
+
+
+@contextmanager
+def _locked(out: Path) -> Iterator[None]:
+    """Hold the folder against a second generation; the system lets go of it however this process ends."""
+    handle = os.open(out, os.O_RDONLY)
+    try:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise DatasetError(f"{out}: another 'surgbench generate' is at work here") from None
+        yield
+    finally:
+        os.close(handle)
+
+
+def _remove_partial(out: Path) -> None:
+    for path in out.rglob(f"*{PARTIAL_SUFFIX}"):
+        path.unlink(missing_ok=True)
+
+
+def _render_all(plan: Plan, out: Path, jobs: int, progress: Callable[[float], None]) -> None:
+    """Write everything but the manifest; what is there whole stays."""
+    if jobs <= 1:
+        worker = _Worker(plan, out, threads=None)
+        for chunk in _chunks(plan, out):
+            worker.render(chunk, progress)
+        return
+    context = get_context("spawn")
+    with ProcessPoolExecutor(jobs, mp_context=context, initializer=_start_worker, initargs=(plan, out)) as pool:
+        waiting: set[Future[int]] = set()
+        try:
+            for chunk in _chunks(plan, out):
+                # Few at a time, so that the states of a long dataset are not all held at once.
+                while len(waiting) >= 2 * jobs:
+                    waiting = _collect(waiting, progress)
+                waiting.add(pool.submit(_render_chunk, chunk))
+            while waiting:
+                waiting = _collect(waiting, progress)
+        except BaseException:
+            pool.shutdown(wait=True, cancel_futures=True)
+            raise
+
+
+def _collect(waiting: set[Future[int]], progress: Callable[[float], None]) -> set[Future[int]]:
+    done, rest = wait(waiting, return_when=FIRST_COMPLETED)
+    for future in done:
+        progress(future.result())
+    return rest
+
+
+def _chunks(plan: Plan, out: Path) -> Iterator[Chunk]:
+    """Write each sequence's tables and yield its frames."""
+    for entry in plan.sequences:
+        states = _write_tables(plan, out, entry)
+        for start in range(0, entry.frames, CHUNK_FRAMES):
+            yield Chunk(entry, start, states[start : start + CHUNK_FRAMES])
+
+
+def _write_tables(plan: Plan, out: Path, entry: SequenceEntry) -> FloatArray:
+    """Write a sequence's observations and states; returns ``(frames, 2, 9)``."""
+    preset, instrument = plan.preset, plan.instrument
+    axes: dict[str, str | int] = {"dataset": preset.seed, "sequence": entry.id}
+    states: FloatArray = make_pair(
+        preset, instrument, entry.speed, entry.frames, generator(**axes, purpose="trajectory")
+    )
+    observed: dict[str, FloatArray] = {tables.TIMESTAMP: np.arange(entry.frames, dtype=np.float64) * entry.dt_s}
+    truth: dict[str, FloatArray] = {}
+    for index, arm in enumerate(entry.arms):
+        own = states[:, index]
+        points = observe_keypoints(
+            own, instrument, preset.camera, preset.keypoints, generator(**axes, arm=arm, purpose="keypoints")
+        )
+        readings = observe_joints(own, preset.readings, generator(**axes, arm=arm, purpose="readings"))
+        observed |= _columns(arm, tables.KEYPOINT_COLUMNS, points.reshape(-1, 4))
+        observed |= _columns(arm, tables.READING_COLUMNS, readings)
+        truth |= _columns(arm, tables.STATE_COLUMNS, own)
+    write_atomic(out / observations_path(entry.id), tables.encode_table(observed))
+    write_atomic(out / states_path(entry.id), tables.encode_table(truth))
+    return states
+
+
+def _columns(arm: Arm, names: tuple[str, ...], values: FloatArray) -> dict[str, FloatArray]:
+    return dict(zip(tables.arm_columns(arm, names), values.T, strict=True))
+
+
+class _Worker:
+    """Renders and corrupts frames; one Mitsuba scene per arm, kept over all frames.
+
+    Args:
+        plan: The job.
+        out: The dataset's folder.
+        threads: Of Mitsuba; ``None`` leaves them as they are.
+    """
+
+    def __init__(self, plan: Plan, out: Path, threads: int | None) -> None:
+        self.seed = plan.preset.seed
+        self.settings: Corruption = plan.preset.corruption
+        self.out = out
+        self._renderers = {arm: MaskRenderer([plan.instrument], plan.preset.camera, threads) for arm in ARMS}
+
+    def render(self, chunk: Chunk, progress: Callable[[float], None] = lambda frames: None) -> int:
+        """Write a chunk's masks, those that are not there; returns its number of frames."""
+        for offset, states in enumerate(chunk.states):
+            self._frame(chunk.entry.id, chunk.start + offset, states)
+            progress(1)
+        return len(chunk.states)
+
+    def _frame(self, sequence: str, frame: int, states: FloatArray) -> None:
+        paths = {kind: (clean_mask_path(sequence, kind, frame), observed_path(sequence, kind, frame)) for kind in KINDS}
+        if all(_is_whole_png(self.out / path) for pair in paths.values() for path in pair):
+            return
+        masks: dict[str, Mask] = {arm: self._renderers[arm].mask(states[index]) for index, arm in enumerate(ARMS)}
+        # A ray meets one of the two if it meets either, so that the union needs no rendering of its own.
+        masks["both"] = masks["left"] | masks["right"]
+        for kind, (clean, observed) in paths.items():
+            rng = generator(dataset=self.seed, sequence=sequence, frame=frame, kind=kind, purpose="corruption")
+            write_atomic(self.out / clean, encode_mask(masks[kind]))
+            write_atomic(self.out / observed, encode_mask(corrupt(masks[kind], self.settings, rng)))
+
+
+def _is_whole_png(path: Path) -> bool:
+    """Whether the file ends as a PNG does: after a power cut a file may be there and empty."""
+    try:
+        with path.open("rb") as file:
+            file.seek(-len(PNG_END), os.SEEK_END)
+            return file.read() == PNG_END
+    except OSError:
+        return False
+
+
+_worker: _Worker | None = None
+
+
+def _start_worker(plan: Plan, out: Path) -> None:
+    """Prepare a worker process: it ends with its parent, also when that is killed."""
+    global _worker
+    # Ctrl-C reaches the whole group; the parent stops the workers after the chunk in hand.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = parent_process()
+    if parent is not None:
+        sentinel = parent.sentinel
+
+        def follow() -> None:
+            connection.wait([sentinel])
+            os._exit(1)
+
+        threading.Thread(target=follow, daemon=True).start()
+    _worker = _Worker(plan, out, threads=1)
+
+
+def _render_chunk(chunk: Chunk) -> int:
+    assert _worker is not None
+    return _worker.render(chunk)
+
+
+def _configuration(plan: Plan) -> dict[str, Any]:
+    """What the manifest says of how the dataset was made."""
+    return {key: value for key, value in plan.marker.items() if key != "format"}
+
+
+def _manifest(plan: Plan, out: Path) -> Manifest:
+    name = plan.instrument.name
+    return Manifest(
+        name=plan.preset.name,
+        created_by=f"surgbench {__version__}",
+        origin="generated",
+        seed=plan.preset.seed,
+        configuration=_configuration(plan),
+        cameras={CAMERA_NAME: plan.preset.camera},
+        instruments={name: f"{instrument_folder(name)}/instrument.yaml"},
+        sequences=plan.sequences,
+        files=describe_files(out, plan.paths),
+    )

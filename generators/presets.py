@@ -1,0 +1,320 @@
+"""Presets: everything that decides what a generated dataset looks like."""
+
+from __future__ import annotations
+
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+
+from surgbench.camera import Camera
+from surgbench.config import parse_model, read_yaml
+from surgbench.errors import ConfigError, NotFoundError, unknown_name
+
+PACKAGE = "surgbench.configs.presets"
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Fraction = Annotated[float, Field(ge=0, le=1)]
+Range = tuple[Finite, Finite]
+
+
+class Section(BaseModel):
+    """Base of all parts of a preset: unknown keys are errors, values never change."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class WaypointInterval(Section):
+    """Frames between waypoints: the published 50, and half as many where the instruments move fast."""
+
+    nominal: Annotated[int, Field(ge=2)] = 50
+    fast: Annotated[int, Field(ge=2)] = 25
+
+
+class MaxStep(Section):
+    """The most that changes from one waypoint to the next.
+
+    Attributes:
+        position_m: Length of the wrist's way.
+        tilt_rad: Each of alpha and gamma.
+        roll_rad: beta.
+        wrist_rad: Each of q1 and q2.
+        jaw_rad: q3.
+    """
+
+    position_m: Positive = 0.03
+    tilt_rad: Positive = 0.35
+    roll_rad: Positive = 0.8
+    wrist_rad: Positive = 0.6
+    jaw_rad: Positive = 0.35
+
+
+class Motion(Section):
+    """How the instruments move.
+
+    Attributes:
+        waypoint_interval: Frames between waypoints.
+        fast_share: Share of the pairs, the last ones, that move fast.
+        max_step: Bounds of the steps between waypoints.
+        ou_rho: Correlation of the Ornstein-Uhlenbeck perturbation from frame to frame.
+        ou_sigma_angles_rad: Its stationary standard deviation for alpha, beta, gamma.
+        ou_sigma_position_m: The same for x, y, z.
+        ou_sigma_joints_rad: The same for q1, q2, q3.
+        lowpass_cutoff_hz: Cutoff of the second-order Butterworth filter run forwards and backwards.
+    """
+
+    waypoint_interval: WaypointInterval = WaypointInterval()
+    fast_share: Fraction = 0.5
+    max_step: MaxStep = MaxStep()
+    ou_rho: Annotated[float, Field(ge=0, lt=1)] = 0.99
+    ou_sigma_angles_rad: tuple[NotNegative, NotNegative, NotNegative] = (0.01, 0.03, 0.01)
+    ou_sigma_position_m: NotNegative = 0.002
+    ou_sigma_joints_rad: NotNegative = 0.02
+    lowpass_cutoff_hz: Positive = 3.0
+
+
+class Workspace(Section):
+    """Where waypoints may be. Joints are drawn from the instrument's own ``generate_rad``.
+
+    Attributes:
+        distance_m: From the camera to the wrist.
+        elevation_rad: Angle between the shaft and the image plane, jaws pointing away from the camera.
+        direction_rad: Where the left arm's jaws point in the image: 0 right, positive down. Mirrored for the right.
+        reach: How far across the image from its own side the middle of an arm's tips may be, as a share of the width.
+        tip_margin: Tips stay this far inside the image, as a share of its height, in every frame.
+        waypoint_margin: The same, before the perturbation.
+        clearance_m: Between the centre lines of the two arms, in every frame.
+    """
+
+    distance_m: Range = (0.10, 0.17)
+    elevation_rad: Range = (0.5235987755982988, 1.0471975511965976)
+    direction_rad: Range = (-0.7, 0.35)
+    reach: tuple[Fraction, Fraction] = (0.2, 0.65)
+    tip_margin: Annotated[float, Field(ge=0, lt=0.5)] = 0.02
+    waypoint_margin: Annotated[float, Field(ge=0, lt=0.5)] = 0.09
+    clearance_m: NotNegative = 0.009
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Workspace:
+        for name in ("distance_m", "elevation_rad", "direction_rad", "reach"):
+            low, high = getattr(self, name)
+            if not low < high:
+                raise ValueError(f"{name} must be [lower, upper] with lower < upper")
+        if self.distance_m[0] <= 0:
+            raise ValueError("distance_m must be greater than 0")
+        if self.waypoint_margin < self.tip_margin:
+            raise ValueError("waypoint_margin must be at least tip_margin")
+        return self
+
+
+class Morphology(Section):
+    """One dilation or erosion with a square of ones. A kernel of 1 changes nothing but ends the search for a hit."""
+
+    kernel_px: Annotated[int, Field(ge=1, le=99)]
+    probability: Fraction
+
+    @field_validator("kernel_px")
+    @classmethod
+    def _odd(cls, value: int) -> int:
+        if value % 2 == 0:
+            raise ValueError("kernel_px must be odd")
+        return value
+
+
+class Blobs(Section):
+    """Discs centred on the mask's edge: with ``probability``, a Poisson number of them."""
+
+    radius_px: Annotated[int, Field(ge=1, le=200)]
+    mean_count: Annotated[float, Field(ge=0, le=1000)]
+    probability: Fraction
+
+
+class Corruption(Section):
+    """What happens to a rendered mask before a tracker sees it.
+
+    Attributes:
+        level: Name of the settings: published, strong, none, or custom.
+        morphology: Tried in order; the first that hits is applied, and no other.
+        dilation_share: How often that is a dilation and not an erosion.
+        blobs: Each tried on its own.
+        blob_add: Probability that a disc is added.
+        blob_remove: Probability that a disc is cut out; otherwise it is left alone.
+    """
+
+    level: Literal["published", "strong", "none", "custom"] = "custom"
+    morphology: tuple[Morphology, ...] = (
+        Morphology(kernel_px=1, probability=0.1),
+        Morphology(kernel_px=1, probability=0.05),
+        Morphology(kernel_px=3, probability=0.05),
+    )
+    dilation_share: Fraction = 0.5
+    blobs: tuple[Blobs, ...] = (
+        Blobs(radius_px=3, mean_count=20, probability=0.2),
+        Blobs(radius_px=7, mean_count=5, probability=0.1),
+        Blobs(radius_px=11, mean_count=3, probability=0.05),
+    )
+    blob_add: Fraction = 0.5
+    blob_remove: Fraction = 0.0
+
+    @model_validator(mode="after")
+    def _shares(self) -> Corruption:
+        if self.blob_add + self.blob_remove > 1:
+            raise ValueError("blob_add + blob_remove must be at most 1")
+        return self
+
+
+CorruptionLevel = Literal["published", "strong", "none"]
+CORRUPTION_LEVELS: dict[str, Corruption] = {
+    # The settings of the paper's released generator: discs are only ever added, half of those drawn.
+    "published": Corruption(level="published"),
+    # Most frames are hit, and the edge is eaten into as often as it is grown, as segmentation networks do.
+    "strong": Corruption(
+        level="strong",
+        morphology=(Morphology(kernel_px=5, probability=0.3), Morphology(kernel_px=3, probability=0.5)),
+        blobs=(
+            Blobs(radius_px=3, mean_count=20, probability=0.6),
+            Blobs(radius_px=7, mean_count=8, probability=0.5),
+            Blobs(radius_px=11, mean_count=4, probability=0.3),
+        ),
+        blob_add=0.5,
+        blob_remove=0.5,
+    ),
+    "none": Corruption(level="none", morphology=(), blobs=()),
+}
+
+
+class Keypoints(Section):
+    """Tip keypoints as a detector would give them.
+
+    Attributes:
+        noise_px: Standard deviation of each coordinate.
+        dropout: Probability that a tip is not seen in a frame.
+    """
+
+    noise_px: NotNegative = 1.5
+    dropout: Fraction = 0.03
+
+
+class Readings(Section):
+    """Joint readings of a cable-driven wrist: q + bias + drift + noise, per joint. Our choice, not published figures.
+
+    Attributes:
+        bias_rad: Standard deviation of what is constant over a sequence.
+        drift_rad: Stationary standard deviation of what changes slowly.
+        drift_rho: Its correlation from frame to frame.
+        noise_rad: Standard deviation of what is new in every frame.
+    """
+
+    bias_rad: NotNegative = 0.02
+    drift_rad: NotNegative = 0.01
+    drift_rho: Annotated[float, Field(ge=0, lt=1)] = 0.995
+    noise_rad: NotNegative = 0.002
+
+
+# The left camera of SurgPose at half size, as the paper's code uses it.
+PAPER_CAMERA = Camera(width=700, height=493, fx=905.955, fy=904.820, cx=294.280, cy=238.699)
+
+
+class Preset(Section):
+    """A whole preset; the defaults are the paper's.
+
+    Attributes:
+        name: Becomes the dataset's name.
+        seed: 0 is a seed like any other.
+        pairs: Sequences, each with a left and a right arm.
+        frames: Per sequence.
+        dt_s: Seconds between frames.
+        camera: Intrinsics.
+        instrument: Built-in name or instrument file, for both arms.
+        motion: How the instruments move.
+        workspace: Where they move.
+        corruption: Settings, or a level: published, strong, none.
+        keypoints: Noise of the tip keypoints.
+        readings: Noise of the joint readings.
+    """
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
+    seed: Annotated[int, Field(ge=0)] = 0
+    pairs: Annotated[int, Field(ge=1, le=1000)]
+    frames: Annotated[int, Field(ge=2, le=1_000_000)]
+    dt_s: Positive = 1 / 30
+    camera: Camera = PAPER_CAMERA
+    instrument: str = "large_needle_driver"
+    motion: Motion = Motion()
+    workspace: Workspace = Workspace()
+    corruption: Corruption = CORRUPTION_LEVELS["published"]
+    keypoints: Keypoints = Keypoints()
+    readings: Readings = Readings()
+
+    @field_validator("corruption", mode="before")
+    @classmethod
+    def _level(cls, value: Any) -> Any:
+        if isinstance(value, str):
+            if value not in CORRUPTION_LEVELS:
+                raise ValueError(unknown_name("corruption level", value, CORRUPTION_LEVELS))
+            return CORRUPTION_LEVELS[value]
+        return value
+
+    @model_validator(mode="after")
+    def _possible(self) -> Preset:
+        if any(self.camera.distortion):
+            raise ValueError("camera.distortion must be left out or zero: masks are rendered without distortion")
+        if self.motion.lowpass_cutoff_hz >= 0.5 / self.dt_s:
+            raise ValueError(f"motion.lowpass_cutoff_hz must be below half the frame rate, {0.5 / self.dt_s:g}")
+        return self
+
+
+def builtin_presets() -> list[str]:
+    """Names of the presets that come with the package, sorted."""
+    return sorted(
+        entry.name.removesuffix(".yaml") for entry in resources.files(PACKAGE).iterdir() if entry.name.endswith(".yaml")
+    )
+
+
+def load_preset(
+    name_or_path: str | Path,
+    *,
+    pairs: int | None = None,
+    frames: int | None = None,
+    seed: int | None = None,
+    corruption: str | None = None,
+) -> Preset:
+    """Load a preset and put the given options over it.
+
+    Args:
+        name_or_path: A built-in name, or a file (any ``Path``, a string with a slash, or one ending in ``.yaml``).
+        pairs: Overrides the file's.
+        frames: Overrides the file's.
+        seed: Overrides the file's.
+        corruption: Level that overrides the file's settings.
+
+    Raises:
+        NotFoundError: No built-in preset has this name.
+        ConfigError: The file is missing or wrong, or an option has a value that will not do; one line.
+    """
+    text = str(name_or_path)
+    overrides = {"pairs": pairs, "frames": frames, "seed": seed, "corruption": corruption}
+    given = {key: value for key, value in overrides.items() if value is not None}
+    if isinstance(name_or_path, Path) or "/" in text or text.lower().endswith((".yaml", ".yml")):
+        return _load_file(Path(text), given)
+    if text not in builtin_presets():
+        raise NotFoundError(unknown_name("preset", text, builtin_presets()) + ", or a file PRESET.yaml")
+    with resources.as_file(resources.files(PACKAGE) / f"{text}.yaml") as path:
+        return _load_file(path, given)
+
+
+def _load_file(path: Path, given: dict[str, Any]) -> Preset:
+    preset = parse_model(Preset, read_yaml(path, "preset"), str(path))
+    if not given:
+        return preset
+    names = {"pairs": "--sequences"}
+    for key, value in given.items():
+        # One at a time, so that the message names the option and not the file.
+        try:
+            parse_model(Preset, {**preset.model_dump(), key: value}, names.get(key, f"--{key}"))
+        except ConfigError as error:
+            raise ConfigError(str(error).replace(f"'{key}': ", "", 1)) from None
+    return parse_model(Preset, {**preset.model_dump(), **given}, str(path))

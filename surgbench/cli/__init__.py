@@ -1,0 +1,100 @@
+"""The ``surgbench`` command: a thin skin over the package.
+
+Every mistake a user can make ends in one line on standard error and exit code 2; a traceback is shown only
+with ``--debug``.
+"""
+
+from __future__ import annotations
+
+import errno
+import sys
+from typing import Annotated
+
+import typer
+
+from surgbench import __version__
+from surgbench.cli.generate import generate
+from surgbench.cli.import_ import masks
+from surgbench.cli.list_ import list_names
+from surgbench.cli.report import report
+from surgbench.cli.run import run
+from surgbench.cli.validate import validate
+from surgbench.cli.video import video
+from surgbench.errors import SurgbenchError
+
+app = typer.Typer(
+    name="surgbench",
+    no_args_is_help=True,
+    add_completion=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    epilog="Example: surgbench generate mini --out data/mini && surgbench run --dataset data/mini --tracker cmaes",
+)
+import_app = typer.Typer(no_args_is_help=True, help="Turn recordings into datasets.", rich_markup_mode=None)
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        print(f"surgbench {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _main(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version and exit.")
+    ] = False,
+    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks; stands before or after the command.")] = False,
+) -> None:
+    """Make surgical instrument tracking data, run trackers on it, and compare them."""
+
+
+app.command("generate")(generate)
+import_app.command("masks")(masks)
+app.add_typer(import_app, name="import")
+app.command("validate")(validate)
+app.command("run")(run)
+app.command("report")(report)
+app.command("video")(video)
+app.command("list")(list_names)
+
+
+@import_app.callback()
+def _import() -> None:
+    """Turn recordings into datasets.
+
+    Example: surgbench import masks recordings/suturing --out data/suturing
+    """
+
+
+def main() -> None:
+    """Entry point of the console script."""
+    arguments = [argument for argument in sys.argv[1:] if argument != "--debug"]
+    debug = len(arguments) < len(sys.argv) - 1
+    try:
+        code = app(arguments, standalone_mode=False)
+    except SurgbenchError as error:
+        if debug:
+            raise
+        code = _complain(str(error))
+    except OSError as error:
+        if debug or error.errno not in (errno.ENOSPC, errno.EACCES, errno.EROFS, errno.EDQUOT):
+            raise
+        place = f"{error.filename}: " if error.filename else ""
+        code = _complain(f"{place}{(error.strerror or 'cannot be written').lower()}")
+    except (KeyboardInterrupt, typer.Abort):
+        print("surgbench: interrupted; the same command again goes on from here", file=sys.stderr)
+        code = 130
+    except Exception as error:
+        # What typer raises for a wrong command line knows how to say so.
+        describe = getattr(error, "format_message", None)
+        if debug or describe is None:
+            raise
+        code = _complain(str(describe()).strip() or "not enough arguments; see --help")
+    sys.exit(code if isinstance(code, int) else 0)
+
+
+def _complain(message: str) -> int:
+    print(f"surgbench: {' '.join(message.split())}", file=sys.stderr)
+    return 2

@@ -1,0 +1,38 @@
+"""``surgbench list``."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import typer
+
+
+def list_names(
+    what: Annotated[
+        Literal["trackers", "initialisers", "filters", "keypoints", "presets", "suites", "instruments"],
+        typer.Argument(help="What to list."),
+    ],
+) -> None:
+    """List what there is by name, with the options of each plug-in and their defaults.
+
+    Example: surgbench list trackers
+    """
+    from surgbench.registry import Kind, describe, discover
+
+    kinds: dict[str, Kind] = {
+        "trackers": "tracker",
+        "initialisers": "initialiser",
+        "filters": "filter",
+        "keypoints": "keypoints",
+    }
+    if what in kinds:
+        for name, found in sorted(discover(kinds[what]).items()):
+            summary = getattr(found.cls, "summary", "") if found.problem is None else f"cannot be loaded: {found.problem}"
+            print(f"{name:16} {summary}")
+            for option, default, meaning in describe(found):
+                print(f"  {name}.{option} = {default}" + (f"   {meaning}" if meaning else ""))
+        return
+    from surgbench.config import packaged_names
+
+    for name in packaged_names(what):
+        print(name)

@@ -1,0 +1,120 @@
+"""``surgbench run``."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import typer
+
+from surgbench.cli.progress import progress
+
+
+def run(
+    dataset: Annotated[Path, typer.Option(metavar="DIR", help="A dataset's folder.")],
+    tracker: Annotated[
+        list[str] | None, typer.Option(metavar="NAME|FILE.py:Class", help="A tracker; may be repeated.")
+    ] = None,
+    suite: Annotated[
+        str | None, typer.Option(metavar="NAME|FILE.yaml", help="Rows from a suite instead of --tracker.")
+    ] = None,
+    no_joints: Annotated[
+        bool, typer.Option("--no-joints", help="Without joint readings, as is the default.")
+    ] = False,
+    joints: Annotated[
+        bool, typer.Option("--joints", help="With the dataset's own readings: a recording's, or noisy ones.")
+    ] = False,
+    readings: Annotated[
+        Literal["none", "noisy", "true"] | None, typer.Option(help="Which joint readings trackers are given.")
+    ] = None,
+    arms: Annotated[
+        Literal["single", "dual"] | None, typer.Option(help="Each arm alone, or pairs in one mask.")
+    ] = None,
+    initialiser: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Default: truth where there is any, else random.")
+    ] = None,
+    keypoints: Annotated[str | None, typer.Option(metavar="NAME", help="Keypoint source; default: observed.")] = None,
+    filter_: Annotated[str | None, typer.Option("--filter", metavar="NAME", help="Default: kalman.")] = None,
+    set_: Annotated[
+        list[str] | None, typer.Option("--set", metavar="NAME.option=value", help="An option; may be repeated.")
+    ] = None,
+    repeats: Annotated[int | None, typer.Option(min=1, help="Runs per sequence, each with its own seed.")] = None,
+    seed: Annotated[int | None, typer.Option(min=0, help="Default: 0.")] = None,
+    jobs: Annotated[int, typer.Option(min=1, help="Runs at a time. Use 1 where latencies matter.")] = 1,
+    timeout: Annotated[
+        float | None, typer.Option(metavar="S", help="Longest wait for one answer of a tracker; default: 120.")
+    ] = None,
+    retry_failed: Annotated[
+        bool, typer.Option("--retry-failed/--keep-failed", help="Whether failed runs are tried again.")
+    ] = True,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be run, and run nothing.")] = False,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of records.")] = Path("runs"),
+) -> None:
+    """Run trackers on a dataset; every run becomes a record, and what is recorded is not run again.
+
+    Example: surgbench run --dataset data/mini --tracker cmaes --set cmaes.iterations=5
+
+    A tracker runs in a process of its own that is sent observations only. FILE.py:Class runs that file with
+    your rights.
+    """
+    from rich.console import Console
+
+    from surgbench.dataset.reader import Dataset
+    from surgbench.report.render import print_leaderboard
+    from surgbench.report.rows import read_rows
+    from surgbench.suite.plan import complete
+    from surgbench.suite.plan import jobs as plan_jobs
+    from surgbench.suite.run import check_output, make_plan
+    from surgbench.suite.run import run as run_plan
+    from surgbench.suite.suites import from_command_line, load_suite
+
+    row: dict[str, Any] = {
+        "initialiser": initialiser,
+        "keypoints": keypoints,
+        "filter": filter_,
+        "readings": _readings(no_joints, joints, readings),
+    }
+    protocol = {"arms": arms, "seed": seed, "repeats": repeats, "timeout_s": timeout}
+    base = None if suite is None else load_suite(suite)
+    asked = from_command_line(base, tracker or [], row, set_ or [], protocol)
+    data = Dataset.open(dataset)
+    check_output(out)
+    planned = [job for one in asked.rows for job in plan_jobs(complete(one, asked, data), data)]
+    plan = make_plan(planned, out, retry_failed)
+    words = f"{len(plan.todo)} runs, {plan.frames} frames to track"
+    if plan.done:
+        words += f"; {plan.done} recorded already"
+    if plan.retried:
+        words += f"; {plan.retried} failed before and are tried again"
+    print(words, file=sys.stderr)
+    if dry_run:
+        for job in plan.todo:
+            print(out / job.path)
+        return
+
+    failures: list[dict[str, Any]] = []
+
+    def finished(record: dict[str, Any]) -> None:
+        if record["status"] != "ok":
+            failures.append(record)
+
+    if plan.todo:
+        with progress("frames", plan.frames) as bar:
+            run_plan(plan, data, out, jobs, bar, bar.stage, finished)
+    for record in failures:
+        spec = record["spec"]
+        print(f"{spec['row_id']} {spec['unit']}: {record['status']}: {record['error']}", file=sys.stderr)
+    rows = [r for r in read_rows([out]) if r["settings_hash"] in {job.settings.hash for job in planned}]
+    print_leaderboard(rows, Console())
+    print(out)
+
+
+def _readings(no_joints: bool, joints: bool, readings: str | None) -> str | None:
+    from surgbench.errors import ConfigError
+
+    asked = [name for name, given in (("none", no_joints), ("noisy", joints)) if given]
+    asked += [readings] if readings is not None else []
+    if len(set(asked)) > 1:
+        raise ConfigError("--no-joints, --joints and --readings contradict each other; give one")
+    return asked[0] if asked else None

@@ -1,0 +1,48 @@
+"""``surgbench video``: records to videos and pictures."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def video(
+    directories: Annotated[list[Path], typer.Argument(metavar="DIR...", help="Folders of records.")],
+    dataset: Annotated[
+        Path | None, typer.Option(metavar="PATH", help="Where the dataset is, if it moved since the run.")
+    ] = None,
+    unit: Annotated[list[str] | None, typer.Option(metavar="ID", help="Draw only this unit; may be repeated.")] = None,
+    row: Annotated[
+        list[str] | None, typer.Option(metavar="ROW_ID", help="Draw only this row; may be repeated.")
+    ] = None,
+    frames: Annotated[int, typer.Option(min=1, max=50, help="Columns of the contact sheet.")] = 5,
+    samples: Annotated[
+        bool, typer.Option("--samples", help="Also draw the best candidates of each iteration as skeletons.")
+    ] = False,
+    overlay: Annotated[
+        bool, typer.Option("--overlay", help="All trackers in one panel of the video, not side by side.")
+    ] = False,
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Default: folder 'video' in the first DIR.")] = None,
+    fps: Annotated[float | None, typer.Option(min=0.1, max=240.0, help="Default: the recording's own.")] = None,
+) -> None:
+    """Draw what trackers estimated over what they saw: an MP4 and a contact sheet per unit.
+
+    The reference mask's contour is green; each tracker's has a colour of its own.
+
+    Example: surgbench video runs --row cmaes --unit 000-left
+    """
+    from surgbench.cli.progress import progress
+    from surgbench.report.records import read_records
+    from surgbench.report.video import VideoOptions, draw, plan
+
+    options = VideoOptions(tuple(unit or ()), tuple(row or ()), frames, samples, overlay, fps)
+    jobs = plan(read_records(directories), options, dataset)
+    folder = out or directories[0] / "video"
+    written = []
+    with progress("drawing frames", sum(job.frames for job in jobs)) as advance:
+        for job in jobs:
+            written += draw(job, options, folder, advance)
+    for path in written:
+        typer.echo(str(path))

@@ -1,0 +1,126 @@
+"""YAML files as typed models, with errors of one line that name the file, the key and what would be right."""
+
+from __future__ import annotations
+
+import difflib
+from importlib import resources
+from pathlib import Path
+from types import UnionType
+from typing import Any, TypeVar, Union, get_args, get_origin
+
+import yaml
+from pydantic import BaseModel, ValidationError
+
+from surgbench.errors import ConfigError, NotFoundError, unknown_name
+
+Model = TypeVar("Model", bound=BaseModel)
+
+
+SUFFIXES = (".yaml", ".yml")
+
+
+def packaged_names(folder: str) -> list[str]:
+    """Names of the YAML files that come with the package in ``configs/<folder>/``, sorted."""
+    entries = resources.files(f"surgbench.configs.{folder}").iterdir()
+    return sorted(entry.name.removesuffix(".yaml") for entry in entries if entry.name.endswith(".yaml"))
+
+
+def locate(folder: str, what: str, name_or_path: str | Path) -> Path:
+    """The file behind a packaged name, or a user's own file.
+
+    Args:
+        folder: Below ``configs/``.
+        what: What it is, for the message, for example ``"preset"``.
+        name_or_path: A name of :func:`packaged_names`, or a file: any ``Path``, or a string with a slash or
+            ending in ``.yaml`` or ``.yml``.
+
+    Raises:
+        NotFoundError: No packaged file has this name; the message offers the nearest.
+    """
+    if isinstance(name_or_path, Path) or "/" in name_or_path or name_or_path.lower().endswith(SUFFIXES):
+        return Path(name_or_path)
+    names = packaged_names(folder)
+    if name_or_path not in names:
+        raise NotFoundError(unknown_name(what, name_or_path, names) + "; or a FILE.yaml")
+    return Path(str(resources.files(f"surgbench.configs.{folder}") / f"{name_or_path}.yaml"))
+
+
+def read_yaml(path: Path, what: str) -> dict[str, Any]:
+    """Read a YAML file that holds a mapping.
+
+    Args:
+        path: The file.
+        what: What it is, for the message, for example ``"preset"``.
+
+    Raises:
+        ConfigError: It is missing, not YAML, or not a mapping; one line.
+    """
+    try:
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ConfigError(f"{path}: {what} file cannot be read ({error.strerror})") from None
+    except (UnicodeDecodeError, yaml.YAMLError) as error:
+        raise ConfigError(f"{path}: not valid YAML ({' '.join(str(error).split())})") from None
+    if not isinstance(content, dict):
+        raise ConfigError(f"{path}: a {what} file must be a mapping of keys")
+    return content
+
+
+def parse_model(model: type[Model], content: Any, source: str) -> Model:
+    """Build a model from what a file or option says.
+
+    Args:
+        model: A pydantic model with ``extra="forbid"``.
+        content: The parsed YAML.
+        source: File or option, for the message.
+
+    Raises:
+        ConfigError: A key is unknown (the nearest valid one is named), missing, or has a wrong value; one line.
+    """
+    try:
+        return model.model_validate(content)
+    except ValidationError as error:
+        raise ConfigError(f"{source}: {explain(model, error)}") from None
+
+
+def explain(model: type[BaseModel], error: ValidationError) -> str:
+    """The first problem of a validation error, in one line with the key and what would be right."""
+    problems = error.errors()
+    # A misspelt key is also a missing one; the misspelling says more.
+    first = next((problem for problem in problems if problem["type"] == "extra_forbidden"), problems[0])
+    place = first["loc"]
+    key = ".".join(str(part) for part in place)
+    if first["type"] == "extra_forbidden":
+        valid = sorted(_keys_at(model, place[:-1]))
+        close = difflib.get_close_matches(str(place[-1]), valid, n=1, cutoff=0.5)
+        hint = f"; did you mean '{close[0]}'?" if close else ""
+        return f"unknown key '{key}'{hint}" + (f" (valid: {', '.join(valid)})" if valid else "")
+    if first["type"] == "missing":
+        return f"key '{key}' is missing"
+    message = first["msg"].removeprefix("Value error, ")
+    value = first["input"]
+    own_words = first["type"] == "value_error"
+    shown = f", not {value!r}" if isinstance(value, str | int | float | bool | None) and not own_words else ""
+    return f"'{key}': {message[:1].lower()}{message[1:]}{shown}" if key else message
+
+
+def _keys_at(model: type[BaseModel], place: tuple[int | str, ...]) -> set[str]:
+    """Keys of the model found by following ``place`` from ``model``; empty where that leads to no model."""
+    here: set[type[BaseModel]] = {model}
+    for part in place:
+        following: set[type[BaseModel]] = set()
+        for candidate in here:
+            field = candidate.model_fields.get(str(part))
+            if field is not None:
+                following |= _models_in(field.annotation)
+        # Positions in lists and names of union members lead nowhere new.
+        here = following or here
+    return {name for candidate in here for name in candidate.model_fields}
+
+
+def _models_in(annotation: Any) -> set[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return {annotation}
+    if get_origin(annotation) in (Union, UnionType, tuple, list, dict) or get_args(annotation):
+        return {model for part in get_args(annotation) for model in _models_in(part)}
+    return set()

@@ -1,0 +1,253 @@
+"""What ``dataset.json`` says, and where everything lies in a dataset's folder (``docs/dataset.md``)."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path, PurePosixPath
+from typing import Annotated, Any, Final, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+
+from surgbench.camera import Camera
+from surgbench.errors import DatasetError
+from surgbench.files import canonical_json
+
+FORMAT: Final = "surgbench-dataset-1"
+MANIFEST_NAME = "dataset.json"
+# Holds the effective configuration while a dataset is being written; gone when it is complete.
+MARKER_NAME = "generating.json"
+
+Arm = Literal["left", "right"]
+MaskKind = Literal["left", "right", "both", "visible_left", "visible_right"]
+ARMS: tuple[Arm, Arm] = ("left", "right")
+IMAGE_KIND = "image"
+
+UNITS = {
+    "length": "metre",
+    "angle": "radian",
+    "time": "second",
+    "image": "pixel",
+}
+CONVENTIONS = {
+    "camera_frame": "OpenCV: x right, y down, z forward; pixel centres at integers, the top left one at (0, 0)",
+    "state": "[alpha, beta, gamma, x, y, z, q1, q2, q3]: R = Ry(gamma) Rx(alpha) Rz(beta) and t = (x, y, z) put the "
+    "wrist-pitch frame (z along the shaft towards the jaws) in the camera frame; q1 wrist pitch, q2 wrist yaw, "
+    "q3 angle of each jaw from the midline",
+    "angles": "alpha in [-pi/2, pi/2]; beta and gamma in [-pi, pi], wrapped",
+    "twin": "(beta + pi, -q1, -q2) has nearly the same silhouette",
+    "masks": "1-bit PNG, white is instrument; left, right: that arm alone, as if the other were not there; "
+    "both: their union",
+    "keypoints": "two jaw tips per arm, in no particular order; NaN: not seen",
+    "readings": "joint readings as the robot gives them (q1, q2, q3; may lie outside the limits); NaN: no reading",
+    "missing": "NaN",
+}
+VISIBILITY = {
+    "tracker": ["dataset.json", "instruments/**", "sequences/**"],
+    "truth": ["truth/**"],
+}
+
+
+class Part(BaseModel):
+    """Base of all parts of a manifest: unknown keys are errors, values never change."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class FileEntry(Part):
+    """One file of the dataset."""
+
+    bytes: Annotated[int, Field(ge=0)]
+    sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+
+
+class SequenceEntry(Part):
+    """One sequence: consecutive frames of one camera.
+
+    Attributes:
+        id: Names its folders.
+        frames: How many, numbered from 0.
+        dt_s: Seconds between frames.
+        speed: How fast the instruments move.
+        camera: Key in the manifest's ``cameras``.
+        arms: The arms in the picture, left before right.
+        instruments: Arm to key in the manifest's ``instruments``.
+        kinds: Mask kinds under ``observed/``.
+        images: Whether ``observed/image/`` is there.
+        keypoints: Whether observations have tip keypoints.
+        readings: Whether observations have joint readings.
+        truth: Whether ``truth/<id>/`` is there.
+        source_frames: File stems in the recording this was imported from.
+    """
+
+    id: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
+    frames: Annotated[int, Field(gt=0)]
+    dt_s: Annotated[float, Field(gt=0, allow_inf_nan=False)]
+    speed: Literal["nominal", "fast"] = "nominal"
+    camera: str
+    arms: Annotated[tuple[Arm, ...], Field(min_length=1, max_length=2)]
+    instruments: dict[Arm, str]
+    kinds: Annotated[tuple[MaskKind, ...], Field(min_length=1)]
+    images: bool = False
+    keypoints: bool = False
+    readings: bool = False
+    truth: bool = False
+    source_frames: tuple[str, ...] = ()
+
+    @model_validator(mode="after")
+    def _consistent(self) -> SequenceEntry:
+        if list(self.arms) != sorted(set(self.arms)):
+            raise ValueError("arms must be ['left'], ['right'] or ['left', 'right']")
+        if set(self.instruments) != set(self.arms):
+            raise ValueError("instruments must name one instrument per arm")
+        if len(set(self.kinds)) != len(self.kinds):
+            raise ValueError("a kind is named twice")
+        return self
+
+
+class Manifest(Part):
+    """The whole of ``dataset.json``.
+
+    Attributes:
+        format: Version of the layout.
+        task: What trackers do on it.
+        name: The preset's or recording's name.
+        created_by: Program and version.
+        origin: Generated here, or imported from a recording.
+        seed: Of everything random in it; ``None`` for a recording.
+        configuration: The whole effective configuration: the preset after all options, or the import's options.
+        units: Text.
+        conventions: Text.
+        visibility: Which files a tracker may be shown, and which hold the truth.
+        cameras: By name.
+        instruments: Name to the instrument file's place in the folder.
+        sequences: In order.
+        files: Path to size and SHA-256, every file but ``dataset.json``.
+    """
+
+    format: Literal["surgbench-dataset-1"] = FORMAT
+    task: Literal["instrument"] = "instrument"
+    name: str
+    created_by: str
+    origin: Literal["generated", "imported"]
+    seed: int | None = None
+    configuration: dict[str, Any]
+    units: dict[str, str] = UNITS
+    conventions: dict[str, str] = CONVENTIONS
+    visibility: dict[str, list[str]] = VISIBILITY
+    cameras: dict[str, Camera]
+    instruments: dict[str, str]
+    sequences: Annotated[tuple[SequenceEntry, ...], Field(min_length=1)]
+    files: dict[str, FileEntry]
+
+    @field_validator("files")
+    @classmethod
+    def _inside(cls, files: dict[str, FileEntry]) -> dict[str, FileEntry]:
+        for path in files:
+            pure = PurePosixPath(path)
+            if pure.is_absolute() or ".." in pure.parts or str(pure) != path:
+                raise ValueError(f"'{path}' is not a path inside the dataset")
+        return files
+
+    @model_validator(mode="after")
+    def _references(self) -> Manifest:
+        ids = [sequence.id for sequence in self.sequences]
+        if len(set(ids)) != len(ids):
+            raise ValueError("two sequences have the same id")
+        for sequence in self.sequences:
+            if sequence.camera not in self.cameras:
+                raise ValueError(f"sequence '{sequence.id}' names the unknown camera '{sequence.camera}'")
+            for instrument in sequence.instruments.values():
+                if instrument not in self.instruments:
+                    raise ValueError(f"sequence '{sequence.id}' names the unknown instrument '{instrument}'")
+        for name, path in self.instruments.items():
+            if path not in self.files:
+                raise ValueError(f"instrument '{name}': '{path}' is not among the files")
+        return self
+
+    def to_bytes(self) -> bytes:
+        """The bytes of ``dataset.json``: sorted keys, a line for each file, so that it can be read and diffed."""
+        data = self.model_dump(mode="json")
+        files = data.pop("files")
+        head = json.dumps(data, indent=1, sort_keys=True, allow_nan=False)
+        rows = ",\n".join(f"  {json.dumps(path)}: {canonical_json(files[path])}" for path in sorted(files))
+        return f'{head[:-2]},\n "files": {{\n{rows}\n }}\n}}\n'.encode()
+
+
+def read_manifest(folder: Path) -> tuple[Manifest, bytes]:
+    """Read a dataset's manifest and its bytes.
+
+    Raises:
+        DatasetError: There is no dataset here, it is not complete, or its manifest is wrong; one line.
+    """
+    path = folder / MANIFEST_NAME
+    try:
+        data = path.read_bytes()
+    except (FileNotFoundError, NotADirectoryError):
+        if (folder / MARKER_NAME).exists():
+            raise DatasetError(
+                f"{folder}: not complete; run the same 'surgbench generate' again to finish it"
+            ) from None
+        if not folder.is_dir():
+            raise DatasetError(
+                f"{folder}: no such folder; expected a dataset (a folder with {MANIFEST_NAME})"
+            ) from None
+        raise DatasetError(
+            f"{path}: missing; expected a dataset from 'surgbench generate' or 'surgbench import'"
+        ) from None
+    except OSError as error:
+        raise DatasetError(f"{path}: cannot be read ({error.strerror})") from None
+    try:
+        raw = json.loads(data)
+    except (UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise DatasetError(f"{path}: not valid JSON ({error}); the file was truncated or altered") from None
+    found = raw.get("format") if isinstance(raw, dict) else None
+    if found != FORMAT:
+        raise DatasetError(f"{path}: 'format' is {found!r}; this version of surgbench reads '{FORMAT}'")
+    try:
+        return Manifest.model_validate(raw), data
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in first["loc"])
+        message = first["msg"].removeprefix("Value error, ")
+        raise DatasetError(f"{path}: {f'{chr(39)}{key}{chr(39)}: ' if key else ''}{message}") from None
+
+
+def frame_name(frame: int) -> str:
+    """File name of a frame's mask or image."""
+    return f"{frame:06d}.png"
+
+
+def observed_path(sequence: str, kind: str, frame: int) -> str:
+    """Where what was seen in a frame lies in the folder; ``kind`` is a mask kind or ``image``."""
+    return f"sequences/{sequence}/observed/{kind}/{frame_name(frame)}"
+
+
+def observations_path(sequence: str) -> str:
+    """Where a sequence's keypoints, readings and timestamps lie."""
+    return f"sequences/{sequence}/observations.parquet"
+
+
+def clean_mask_path(sequence: str, kind: str, frame: int) -> str:
+    """Where the uncorrupted mask of a frame lies."""
+    return f"truth/{sequence}/masks/{kind}/{frame_name(frame)}"
+
+
+def states_path(sequence: str) -> str:
+    """Where a sequence's true states lie."""
+    return f"truth/{sequence}/states.parquet"
+
+
+def instrument_folder(name: str) -> str:
+    """Where an instrument's file and meshes lie."""
+    return f"instruments/{name}"
+
+
+def sequence_files(entry: SequenceEntry) -> list[str]:
+    """Every file that a sequence must have, in order."""
+    kinds = [*entry.kinds, *([IMAGE_KIND] if entry.images else [])]
+    paths = [observations_path(entry.id)]
+    paths += [observed_path(entry.id, kind, frame) for kind in kinds for frame in range(entry.frames)]
+    if entry.truth:
+        paths.append(states_path(entry.id))
+        paths += [clean_mask_path(entry.id, kind, frame) for kind in entry.kinds for frame in range(entry.frames)]
+    return paths

@@ -1,0 +1,34 @@
+"""What writers of datasets share: file entries for the manifest, and one-line errors of the disk."""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+from collections.abc import Iterable
+from pathlib import Path
+
+from surgbench.dataset.format import FileEntry
+from surgbench.errors import SurgbenchError
+
+
+def file_entry(data: bytes) -> FileEntry:
+    """Size and hash of a file's bytes."""
+    return FileEntry(bytes=len(data), sha256=hashlib.sha256(data).hexdigest())
+
+
+def describe_files(root: Path, paths: Iterable[str]) -> dict[str, FileEntry]:
+    """The manifest's entries of some files below ``root``."""
+    return {path: file_entry((root / path).read_bytes()) for path in paths}
+
+
+def storage_error(error: OSError, folder: Path, advice: str) -> SurgbenchError:
+    """One line for a failed write.
+
+    Args:
+        error: What the system said.
+        folder: What was being written.
+        advice: What to do after making room.
+    """
+    if error.errno in (errno.ENOSPC, errno.EDQUOT):
+        return SurgbenchError(f"{folder}: the disk is full; make room, then {advice}")
+    return SurgbenchError(f"{error.filename or folder}: cannot be written ({error.strerror or error})")

@@ -1,0 +1,180 @@
+"""Checks a dataset on disk against its manifest, its format and common sense."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import numpy as np
+
+from surgbench.camera import Camera
+from surgbench.dataset import tables
+from surgbench.dataset.format import (
+    IMAGE_KIND,
+    MANIFEST_NAME,
+    Arm,
+    SequenceEntry,
+    observations_path,
+    sequence_files,
+    states_path,
+)
+from surgbench.dataset.masks import decode_image, decode_mask, read_bytes
+from surgbench.dataset.reader import Dataset, observation_columns, state_columns
+from surgbench.dataset.storage import file_entry
+from surgbench.errors import DatasetError, SurgbenchError
+from surgbench.geometry import FloatArray
+from surgbench.state import ALPHA, BETA, GAMMA, JOINTS, POSITION, JointLimits
+
+# Angles computed in float64 may pass a limit by rounding.
+TOLERANCE_RAD = 1e-9
+
+
+def validate(path: Path | str, progress: Callable[[float], None] = lambda files: None) -> list[str]:
+    """Find everything that is wrong with a dataset.
+
+    Args:
+        path: Its folder.
+        progress: Takes the number of files just checked.
+
+    Returns:
+        One line per problem, each naming the file; empty for a sound dataset.
+    """
+    try:
+        dataset = Dataset.open(path)
+    except DatasetError as error:
+        return [str(error)]
+    root, manifest = dataset.path, dataset.manifest
+    problems: list[str] = []
+    expected = {file for entry in manifest.sequences for file in sequence_files(entry)}
+    cameras = {entry.id: manifest.cameras[entry.camera] for entry in manifest.sequences}
+    for file in sorted(expected - set(manifest.files)):
+        problems.append(f"{root / file}: not listed in {MANIFEST_NAME}, but its sequence needs it")
+    sound: set[str] = set()
+    for file, listed in sorted(manifest.files.items()):
+        progress(1)
+        try:
+            data = read_bytes(root / file)
+        except DatasetError as error:
+            problems.append(str(error))
+            continue
+        found = file_entry(data)
+        if found.bytes < listed.bytes:
+            problems.append(f"{root / file}: truncated, {found.bytes} bytes; {MANIFEST_NAME} says {listed.bytes}")
+        elif found != listed:
+            problems.append(f"{root / file}: altered, its SHA-256 is not the one in {MANIFEST_NAME}")
+        else:
+            problem = _check_picture(file, data, root, cameras) if file in expected else None
+            if problem:
+                problems.append(problem)
+            sound.add(file)
+    known = {*manifest.files, MANIFEST_NAME}
+    for place in sorted(root.rglob("*")):
+        name = place.relative_to(root).as_posix()
+        if not place.is_dir() and name not in known:
+            problems.append(f"{place}: extra, not listed in {MANIFEST_NAME}")
+    limits: dict[str, JointLimits] = {}
+    for name, file in manifest.instruments.items():
+        try:
+            instrument = dataset.instrument(name)
+        except SurgbenchError as error:
+            if file in sound:
+                problems.append(str(error))
+            continue
+        generated = manifest.origin == "generated"
+        limits[name] = instrument.generate_limits if generated else instrument.search_limits
+    for entry in manifest.sequences:
+        camera = cameras[entry.id]
+        if observations_path(entry.id) in sound:
+            problems += _check_observations(root, entry, camera)
+        if entry.truth and states_path(entry.id) in sound:
+            problems += _check_states(root, entry, limits)
+    return problems
+
+
+def _check_picture(file: str, data: bytes, root: Path, cameras: dict[str, Camera]) -> str | None:
+    """The problem of a mask or image, if it has one."""
+    parts = PurePosixPath(file).parts
+    if not file.endswith(".png"):
+        return None
+    camera = cameras[parts[1]]
+    decode = decode_image if parts[-2] == IMAGE_KIND else decode_mask
+    try:
+        decode(data, str(root / file), camera.width, camera.height)
+    except DatasetError as error:
+        return str(error)
+    return None
+
+
+def _check_observations(root: Path, entry: SequenceEntry, camera: Camera) -> list[str]:
+    path = root / observations_path(entry.id)
+    try:
+        values = tables.decode_table(read_bytes(path), str(path), entry.frames, observation_columns(entry))
+    except DatasetError as error:
+        return [str(error)]
+    problems = []
+    times = values[tables.TIMESTAMP]
+    if not np.isfinite(times).all() or (np.diff(times) <= 0).any():
+        problems.append(f"{path}: 'timestamp_s' must be finite and increase from frame to frame")
+    for arm in entry.arms:
+        if entry.keypoints:
+            points = tables.stack(values, tables.arm_columns(arm, tables.KEYPOINT_COLUMNS)).reshape(-1, 2, 2)
+            lost = np.isnan(points)
+            half = lost.any(axis=2) != lost.all(axis=2)
+            outside = ~camera.contains(points) & ~lost.any(axis=2)
+            for bad, what in ((half, "has one coordinate without the other"), (outside, "lies outside the image")):
+                if bad.any():
+                    problems.append(f"{path}: frame {_first(bad.any(axis=1))}: a keypoint of the {arm} arm {what}")
+        if entry.readings:
+            readings = tables.stack(values, tables.arm_columns(arm, tables.READING_COLUMNS))
+            bad = (np.isinf(readings) | (np.abs(readings) > np.pi)).any(axis=1)
+            if bad.any():
+                problems.append(f"{path}: frame {_first(bad)}: a joint reading of the {arm} arm is outside [-pi, pi]")
+    return problems
+
+
+def _check_states(root: Path, entry: SequenceEntry, limits: dict[str, JointLimits]) -> list[str]:
+    path = root / states_path(entry.id)
+    try:
+        values = tables.decode_table(read_bytes(path), str(path), entry.frames, state_columns(entry))
+    except DatasetError as error:
+        return [str(error)]
+    problems = []
+    for arm in entry.arms:
+        states = tables.stack(values, tables.arm_columns(arm, tables.STATE_COLUMNS))
+        problems += [
+            f"{path}: {problem}" for problem in _state_problems(arm, states, limits.get(entry.instruments[arm]))
+        ]
+    return problems
+
+
+def _state_problems(arm: Arm, states: FloatArray, limits: JointLimits | None) -> list[str]:
+    columns = tables.arm_columns(arm, tables.STATE_COLUMNS)
+    bad = ~np.isfinite(states)
+    if bad.any():
+        frame, column = np.argwhere(bad)[0]
+        return [f"frame {frame}: '{columns[column]}' is not a finite number"]
+    lower = np.full(states.shape[1], -np.inf)
+    upper = np.full(states.shape[1], np.inf)
+    lower[[ALPHA, BETA, GAMMA]], upper[[ALPHA, BETA, GAMMA]] = (
+        [-np.pi / 2, -np.pi, -np.pi],
+        [np.pi / 2, np.pi, np.pi],
+    )
+    if limits is not None:
+        lower[JOINTS], upper[JOINTS] = limits.lower_rad, limits.upper_rad
+    problems = []
+    outside = (states < lower - TOLERANCE_RAD) | (states > upper + TOLERANCE_RAD)
+    for column in np.flatnonzero(outside.any(axis=0)):
+        frame = _first(outside[:, column])
+        problems.append(
+            f"frame {frame}: '{columns[column]}' is {states[frame, column]:.6g}, "
+            f"outside its limits [{lower[column]:.6g}, {upper[column]:.6g}]"
+        )
+    behind = states[:, POSITION][:, 2] <= 0
+    if behind.any():
+        problems.append(f"frame {_first(behind)}: the {arm} arm's wrist is behind the camera")
+    return problems
+
+
+def _first(bad: Any) -> int:
+    return int(np.argmax(bad))

@@ -1,0 +1,84 @@
+"""Instrument files: the built-in ones, a user's own, and the copy that travels with a dataset."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from surgbench.config import locate, parse_model, read_yaml
+from surgbench.errors import ConfigError
+from surgbench.files import write_atomic
+from surgbench.instrument.meshes import load_mesh
+from surgbench.instrument.model import Instrument, LinkMesh
+from surgbench.instrument.shapes import join_meshes, loft_mesh
+from surgbench.instrument.spec import InstrumentSpec, MeshFile
+
+INSTRUMENT_FILE = "instrument.yaml"
+
+
+def load_instrument(name_or_path: str | Path) -> Instrument:
+    """Load an instrument with its meshes.
+
+    Args:
+        name_or_path: A built-in name (see ``surgbench list instruments``), or the path of an instrument file:
+            any ``Path``, or a string with a slash or ending in ``.yaml`` or ``.yml``.
+
+    Raises:
+        NotFoundError: No built-in instrument has this name.
+        ConfigError: The file or one of its meshes is missing or wrong; the message names file and key.
+    """
+    return _load_file(locate("instruments", "instrument", name_or_path))
+
+
+def save_instrument(instrument: Instrument, folder: Path) -> list[Path]:
+    """Write an instrument so that the folder alone is enough to load it again, with identical arrays.
+
+    Args:
+        instrument: The instrument.
+        folder: Where ``instrument.yaml`` and one binary PLY per link with a body go; made where missing.
+
+    Returns:
+        The files written, ``instrument.yaml`` first. The same instrument gives the same bytes.
+    """
+    links, meshes = [], []
+    for link in instrument.spec.links:
+        mesh = instrument.meshes.get(link.name)
+        entry = MeshFile(path=f"{link.name}.ply") if mesh is not None else None
+        links.append(link.model_copy(update={"shapes": (), "mesh": entry}))
+        if mesh is not None:
+            meshes.append((folder / f"{link.name}.ply", mesh))
+    spec = instrument.spec.model_copy(update={"links": tuple(links)})
+    text = yaml.safe_dump(
+        spec.model_dump(mode="json", exclude_defaults=True), sort_keys=False, allow_unicode=True, width=120
+    )
+    for path, mesh in meshes:
+        write_atomic(path, _ply_bytes(mesh))
+    write_atomic(folder / INSTRUMENT_FILE, text.encode())
+    return [folder / INSTRUMENT_FILE, *(path for path, _ in meshes)]
+
+
+def _load_file(path: Path) -> Instrument:
+    spec = parse_model(InstrumentSpec, read_yaml(path, "instrument"), str(path))
+    meshes: dict[str, LinkMesh] = {}
+    for link in spec.links:
+        if link.mesh is not None:
+            meshes[link.name] = load_mesh(link.mesh, path.parent, link.name)
+        elif link.shapes:
+            meshes[link.name] = join_meshes([loft_mesh(loft) for loft in link.shapes])
+    if not meshes:
+        raise ConfigError(f"{path}: 'links': no link has 'shapes' or a 'mesh'")
+    return Instrument(spec, meshes)
+
+
+def _ply_bytes(mesh: LinkMesh) -> bytes:
+    header = (
+        "ply\nformat binary_little_endian 1.0\n"
+        f"element vertex {len(mesh.vertices_m)}\nproperty float x\nproperty float y\nproperty float z\n"
+        f"element face {len(mesh.faces)}\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    faces = np.empty(len(mesh.faces), dtype=[("count", "u1"), ("corners", "<i4", (3,))])
+    faces["count"] = 3
+    faces["corners"] = mesh.faces
+    return header.encode() + mesh.vertices_m.astype("<f4").tobytes() + faces.tobytes()

@@ -1,0 +1,197 @@
+"""How far estimates are from the truth and from the masks: pure functions on arrays.
+
+Definitions follow Hu et al. 2026, section IV; ``docs/metrics.md`` has every column with its equation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from surgbench.geometry import FloatArray, look_at_rotation, rotation_angle, wrap_angle
+from surgbench.state import ANGLES, BETA, JOINTS, POSITION, twin
+
+if TYPE_CHECKING:
+    from surgbench.camera import Camera
+    from surgbench.instrument import Instrument
+
+POSE_ERRORS = (
+    "rotation_error_rad",
+    "translation_error_m",
+    "tip_error_m",
+    "q1_error_rad",
+    "q2_error_rad",
+    "q3_error_rad",
+    "keypoint_error_px",
+)
+
+# Turning beta by pi and back rounds it by up to a few units in the last place of 2 pi; that is no error.
+BETA_ROUNDING_RAD = 16 * np.finfo(np.float64).eps
+
+
+def choose_twin(estimate: FloatArray, truth: FloatArray) -> FloatArray:
+    """Per state, the estimate or its 180-degree twin, whichever has the smaller wrapped error of beta.
+
+    The two have nearly the same silhouette; this is the paper's rule for which of them is evaluated, in all
+    columns. Of two equally far ones the estimate itself is kept.
+
+    Args:
+        estimate: ``(..., 9)`` states of one arm.
+        truth: Same shape.
+
+    Returns:
+        Same shape. A beta that equals the true one up to full turns and rounding is the true one.
+    """
+    estimate, truth = np.asarray(estimate, dtype=np.float64), np.asarray(truth, dtype=np.float64)
+    other = twin(estimate)
+    own_error = np.abs(wrap_angle(estimate[..., BETA] - truth[..., BETA]))
+    other_error = np.abs(wrap_angle(other[..., BETA] - truth[..., BETA]))
+    chosen: FloatArray = np.where((other_error < own_error)[..., None], other, estimate)
+    tolerance = BETA_ROUNDING_RAD * (1.0 + np.abs(truth[..., BETA]))
+    same = np.minimum(own_error, other_error) <= tolerance
+    chosen[..., BETA] = np.where(same, truth[..., BETA], chosen[..., BETA])
+    return chosen
+
+
+def rotation_error(estimate_angles: FloatArray, true_angles: FloatArray) -> FloatArray:
+    """Geodesic distance ``|log(R^T R_hat)|`` of two orientations.
+
+    Args:
+        estimate_angles: ``(..., 3)`` alpha, beta, gamma, radians.
+        true_angles: Same shape.
+
+    Returns:
+        ``(...)`` radians in [0, pi]; exactly 0 for equal angles.
+    """
+    estimate, true = look_at_rotation(estimate_angles), look_at_rotation(true_angles)
+    # Written out, since a matrix product may round (i, j) and (j, i) differently, and then R^T R has an angle.
+    return rotation_angle((true[..., :, :, None] * estimate[..., :, None, :]).sum(axis=-3))
+
+
+def pose_errors(
+    instrument: Instrument, camera: Camera, estimate: FloatArray, truth: FloatArray
+) -> dict[str, FloatArray]:
+    """All errors of one arm against the truth, frame by frame, after :func:`choose_twin`.
+
+    Args:
+        instrument: Gives the tips.
+        camera: The reference camera.
+        estimate: ``(T, 9)``.
+        truth: ``(T, 9)``.
+
+    Returns:
+        ``POSE_ERRORS`` to ``(T,)``: geodesic rotation error (rad), distance of the wrist-pitch frame's origin (m),
+        mean distance of the two tips (m), absolute joint errors (rad; q3 is the half jaw angle), and the sum of
+        both tips' pixel distances under the better assignment. That last one is NaN where a tip is behind
+        the camera.
+    """
+    truth = np.asarray(truth, dtype=np.float64)
+    chosen = choose_twin(estimate, truth)
+    tips, true_tips = instrument.tips_cam(chosen), instrument.tips_cam(truth)
+    joints = np.abs(chosen[..., JOINTS] - truth[..., JOINTS])
+    values = (
+        rotation_error(chosen[..., ANGLES], truth[..., ANGLES]),
+        np.linalg.norm(chosen[..., POSITION] - truth[..., POSITION], axis=-1),
+        np.linalg.norm(tips - true_tips, axis=-1).mean(axis=-1),
+        joints[..., 0],
+        joints[..., 1],
+        joints[..., 2],
+        keypoint_error(camera.project(tips), camera.project(true_tips)),
+    )
+    return dict(zip(POSE_ERRORS, values, strict=True))
+
+
+def keypoint_error(estimate_px: FloatArray, true_px: FloatArray) -> FloatArray:
+    """Sum of both tips' pixel distances under the better of the two assignments.
+
+    Args:
+        estimate_px: ``(..., 2, 2)`` two tips, (u, v).
+        true_px: Same shape.
+
+    Returns:
+        ``(...)`` pixels; NaN where a tip is.
+    """
+    estimate, true = np.asarray(estimate_px, dtype=np.float64), np.asarray(true_px, dtype=np.float64)
+    straight = np.linalg.norm(estimate - true, axis=-1).sum(axis=-1)
+    crossed = np.linalg.norm(estimate[..., ::-1, :] - true, axis=-1).sum(axis=-1)
+    better: FloatArray = np.minimum(straight, crossed)
+    return better
+
+
+def mask_error(area_estimate: FloatArray, area_reference: FloatArray, overlap: FloatArray) -> FloatArray:
+    """``1 - IoU`` of two masks from their pixel counts.
+
+    Args:
+        area_estimate: Pixels of the estimated silhouette, any shape.
+        area_reference: Pixels of the reference mask.
+        overlap: Pixels in both.
+
+    Returns:
+        Same shape, 0 to 1; 0 where both masks are empty.
+    """
+    overlap = np.asarray(overlap, dtype=np.float64)
+    union = np.asarray(area_estimate, dtype=np.float64) + np.asarray(area_reference, dtype=np.float64) - overlap
+    error: FloatArray = np.where(union > 0, 1.0 - overlap / np.where(union > 0, union, 1.0), 0.0)
+    return error
+
+
+def jitter(tips: FloatArray, dt_s: float) -> float:
+    """How much the estimate trembles: root mean square acceleration of the point midway between the tips.
+
+    The second difference of the midpoint over ``dt_s`` squared, in m/s². It holds the motion's own acceleration
+    too, so it compares trackers on the same sequence; it is not an error and the truth's is not 0. The midpoint
+    is the same for a state and its twin.
+
+    Args:
+        tips: ``(T, 2, 3)`` tips in the camera frame, metres, of consecutive frames.
+        dt_s: Seconds between frames.
+
+    Returns:
+        m/s²; NaN for fewer than three frames.
+    """
+    midpoint = np.asarray(tips, dtype=np.float64).mean(axis=-2)
+    if len(midpoint) < 3:
+        return float("nan")
+    acceleration = np.diff(midpoint, n=2, axis=0) / dt_s**2
+    return float(np.sqrt((acceleration**2).sum(axis=-1).mean()))
+
+
+@dataclass(frozen=True)
+class Summary:
+    """One error over all sequences; ``None`` where there is nothing to take it of.
+
+    Attributes:
+        mean: Mean of the per-sequence means.
+        std: Standard deviation over all frames together (of the population, as NumPy's default).
+        sem: Standard error of ``mean`` over the sequences (sample standard deviation / √n); ``None`` for one.
+    """
+
+    mean: float | None
+    std: float | None
+    sem: float | None
+
+
+def summarise(sequences: Sequence[Sequence[FloatArray]]) -> Summary:
+    """Mean of per-sequence means, with the spread over frames and over sequences.
+
+    Args:
+        sequences: Per sequence its repeats, each an array of per-frame values of any shape (arms count as
+            frames of their own). NaN is "no value"; a sequence without values does not count.
+
+    Returns:
+        The summary. A sequence's mean is the mean of its repeats' means, so that every sequence weighs the same.
+    """
+    means, values = [], []
+    for repeats in sequences:
+        finite = [array[~np.isnan(array)] for array in (np.asarray(r, dtype=np.float64) for r in repeats)]
+        finite = [array for array in finite if array.size]
+        if finite:
+            means.append(float(np.mean([array.mean() for array in finite])))
+            values.extend(finite)
+    if not means:
+        return Summary(None, None, None)
+    sem = float(np.std(means, ddof=1) / np.sqrt(len(means))) if len(means) > 1 else None
+    return Summary(float(np.mean(means)), float(np.std(np.concatenate(values))), sem)

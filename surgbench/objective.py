@@ -1,0 +1,117 @@
+"""The loss of a candidate state against a frame (Hu et al. 2026, eq. 5, 6, 8 and 15)."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from surgbench.contract import Observation, Scene
+from surgbench.geometry import FloatArray
+from surgbench.silhouette import Reference, SilhouetteEvaluator
+from surgbench.state import split_arms
+
+Weight = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+
+
+class LossWeights(BaseModel):
+    """Weights of the loss, relative to the number N of the image's pixels.
+
+    So they mean the same at any resolution; the defaults are those of the paper's released code, whose loss
+    is the mean, not the sum, over pixels (docs/objective.md).
+
+    Attributes:
+        appearance: lambda_app / N.
+        keypoints: lambda_kpts / N, per pixel of distance.
+        keypoint_tolerance_px: tau, distance that costs nothing.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    appearance: Weight = 1e-6
+    keypoints: Weight = 5e-4
+    keypoint_tolerance_px: Weight = 10.0
+
+
+def keypoint_loss(observed_px: FloatArray, projected_px: FloatArray, tolerance_px: float) -> FloatArray:
+    """Distance of projected tips from observed ones, eq. 8.
+
+    Args:
+        observed_px: ``(2, 2)`` in no particular order.
+        projected_px: ``(..., 2, 2)``; NaN for tips behind the camera.
+        tolerance_px: tau; each distance counts only by what it exceeds tau.
+
+    Returns:
+        ``(...)`` pixels; infinite where a tip lies behind the camera.
+    """
+
+    def excess(difference: FloatArray) -> FloatArray:
+        distance = np.linalg.norm(difference, axis=-1)
+        return np.asarray(np.maximum(distance - tolerance_px, 0.0))
+
+    straight = excess(projected_px - observed_px).sum(axis=-1)
+    swapped = excess(projected_px - observed_px[::-1]).sum(axis=-1)
+    centre = excess(projected_px.mean(axis=-2) - observed_px.mean(axis=-2))
+    loss = np.minimum(straight, swapped) + centre
+    return np.where(np.isnan(loss), np.inf, loss)
+
+
+class Objective:
+    """Scores candidate states against one frame at a time.
+
+    Args:
+        scene: Instruments and reference camera.
+        weights: Of the terms.
+    """
+
+    def __init__(self, scene: Scene, weights: LossWeights) -> None:
+        self.scene = scene
+        self.camera = scene.views[0].camera
+        self.evaluator = SilhouetteEvaluator(scene.instruments, self.camera)
+        pixels = self.camera.width * self.camera.height
+        self._appearance = weights.appearance * pixels
+        self._keypoints = weights.keypoints * pixels
+        self._tolerance_px = weights.keypoint_tolerance_px
+        self._reference: Reference | None = None
+        self._observed: tuple[FloatArray | None, ...] = ()
+
+    def observe(self, observation: Observation) -> None:
+        """Take the frame that the next calls score against."""
+        view = observation.views[0]
+        self._reference = Reference(view.mask)
+        self._observed = view.keypoints
+
+    def mismatch(self, states: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """The rendering loss (eq. 6) of ``(n, 9 * arms)`` states, pixels, and their overlap with the mask.
+
+        Raises:
+            RuntimeError: No frame has been observed.
+        """
+        if self._reference is None:
+            raise RuntimeError("observe a frame before scoring candidates")
+        score = self.evaluator.score(states, self._reference)
+        squared = score.area + self._reference.area - 2 * score.overlap
+        loss = squared + self._appearance * np.abs(score.area - self._reference.area)
+        return np.asarray(loss, dtype=np.float64), score.iou(self._reference)
+
+    def __call__(self, states: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Losses and overlaps of candidates (eq. 5 and 15).
+
+        Args:
+            states: ``(n, 9 * arms)``.
+
+        Returns:
+            ``(n,)`` losses in pixels and ``(n,)`` intersection over union with the observed mask.
+
+        Raises:
+            RuntimeError: No frame has been observed.
+        """
+        loss, overlap = self.mismatch(states)
+        if self._keypoints > 0:
+            arms = split_arms(states)
+            for arm, observed in enumerate(self._observed):
+                if observed is not None:
+                    tips = self.camera.project(self.scene.instruments[arm].tips_cam(arms[:, arm]))
+                    loss = loss + self._keypoints * keypoint_loss(observed, tips, self._tolerance_px)
+        return loss, overlap

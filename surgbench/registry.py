@@ -1,0 +1,216 @@
+"""Finds trackers, initialisers, filters and keypoint sources by name, ours and strangers' alike.
+
+A plug-in is a class with a ``name``: in a module of ``surgbench.trackers`` (or of its sub-folder for the
+kind), behind an entry point of the group ``surgbench.<kind>``, or in a file, asked for as ``FILE.py:Class``.
+Its options are the fields of its nested pydantic model ``Config``, where it has one.
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import inspect
+import pkgutil
+import sys
+from dataclasses import dataclass
+from functools import cache
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import BaseModel
+
+from surgbench.config import parse_model
+from surgbench.errors import ConfigError, NotFoundError, unknown_name
+from surgbench.files import sha256_file
+
+Kind = Literal["tracker", "initialiser", "filter", "keypoints"]
+
+PACKAGES: dict[Kind, str] = {
+    "tracker": "surgbench.trackers",
+    "initialiser": "surgbench.trackers.initialisers",
+    "filter": "surgbench.trackers.filters",
+    "keypoints": "surgbench.trackers.keypoints",
+}
+GROUPS: dict[Kind, str] = {
+    "tracker": "surgbench.trackers",
+    "initialiser": "surgbench.initialisers",
+    "filter": "surgbench.filters",
+    "keypoints": "surgbench.keypoints",
+}
+METHODS: dict[Kind, tuple[str, ...]] = {
+    "tracker": ("reset", "step"),
+    "initialiser": ("initialise",),
+    "filter": ("reset", "predict", "update"),
+    "keypoints": ("reset", "detect"),
+}
+
+
+@dataclass(frozen=True)
+class Found:
+    """A plug-in, or why it could not be loaded.
+
+    Attributes:
+        name: What it is asked for by.
+        source: Module, entry point or file it comes from.
+        cls: The class; ``None`` where loading failed.
+        problem: One line that says why, else ``None``.
+    """
+
+    name: str
+    source: str
+    cls: type | None
+    problem: str | None = None
+
+    @property
+    def hash(self) -> str:
+        """Start of the SHA-256 of the file that holds the class: another text is another plug-in."""
+        path = None if self.cls is None else inspect.getsourcefile(self.cls)
+        return "unknown" if path is None else sha256_file(Path(path))[:16]
+
+
+def _plugin_classes(module: Any, kind: Kind) -> list[type]:
+    """Classes of the module itself that have a name and the kind's methods."""
+    return [
+        cls
+        for _, cls in inspect.getmembers(module, inspect.isclass)
+        if cls.__module__ == module.__name__
+        and isinstance(vars(cls).get("name"), str)
+        and all(callable(getattr(cls, method, None)) for method in METHODS[kind])
+    ]
+
+
+@cache
+def discover(kind: Kind) -> dict[str, Found]:
+    """All plug-ins of a kind by name. One that fails to import is listed with its problem, and harms no other.
+
+    Raises:
+        ConfigError: Two plug-ins have the same name.
+    """
+    found: list[Found] = []
+    package = importlib.import_module(PACKAGES[kind])
+    for info in pkgutil.iter_modules(package.__path__):
+        if info.ispkg:
+            continue
+        source = f"{PACKAGES[kind]}.{info.name}"
+        try:
+            module = importlib.import_module(source)
+            found += [Found(str(vars(cls)["name"]), source, cls) for cls in _plugin_classes(module, kind)]
+        except Exception as error:  # a broken plug-in is listed as such, whatever breaks it
+            found.append(Found(info.name, source, None, f"{type(error).__name__}: {error}"))
+    for point in entry_points(group=GROUPS[kind]):
+        try:
+            found.append(Found(point.name, point.value, _checked(point.load(), kind, point.value)))
+        except Exception as error:
+            found.append(Found(point.name, point.value, None, f"{type(error).__name__}: {error}"))
+    by_name: dict[str, Found] = {}
+    for one in found:
+        if one.name in by_name:
+            raise ConfigError(f"two {kind}s are named '{one.name}': {by_name[one.name].source} and {one.source}")
+        by_name[one.name] = one
+    return by_name
+
+
+def _checked(cls: Any, kind: Kind, source: str) -> type:
+    if not inspect.isclass(cls):
+        raise ConfigError(f"{source}: not a class")
+    for method in METHODS[kind]:
+        if not callable(getattr(cls, method, None)):
+            raise ConfigError(f"{source}: a {kind} needs a method '{method}'")
+    return cls
+
+
+@cache
+def _load_file(path: Path) -> Any:
+    # The class's module is findable by name, so that its instances can be pickled in this process.
+    name = f"surgbench_plugin_{sha256_file(path)[:16]}"
+    spec = importlib.util.spec_from_file_location(name, path)
+    if spec is None or spec.loader is None:
+        raise ConfigError(f"{path}: not a Python file")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:
+        del sys.modules[name]
+        raise ConfigError(f"{path}: cannot be imported ({type(error).__name__}: {error})") from error
+    return module
+
+
+def find(kind: Kind, reference: str) -> Found:
+    """The plug-in called ``reference``.
+
+    Args:
+        kind: What it should be.
+        reference: A registered name, or ``path/to/file.py:Class``.
+
+    Raises:
+        NotFoundError: No such name, file or class; the message offers the nearest.
+        ConfigError: The plug-in cannot be loaded, or lacks a method.
+    """
+    path_text, colon, class_name = reference.rpartition(":")
+    if colon and path_text.endswith(".py"):
+        path = Path(path_text).resolve()
+        if not path.is_file():
+            raise NotFoundError(f"{path_text}: no such file (asked for as --{kind} {reference})")
+        module = _load_file(path)
+        if not hasattr(module, class_name):
+            names = [cls.__name__ for cls in _plugin_classes(module, kind)]
+            raise NotFoundError(f"{path_text}: {unknown_name('class', class_name, names)}")
+        cls = _checked(getattr(module, class_name), kind, reference)
+        return Found(getattr(cls, "name", class_name), f"{path.name}:{class_name}", cls)
+    if reference.endswith(".py"):
+        raise NotFoundError(f"{reference}: say which class, as {reference}:ClassName")
+    available = discover(kind)
+    if reference not in available:
+        raise NotFoundError(unknown_name(kind, reference, available) + "; or FILE.py:Class")
+    found = available[reference]
+    if found.cls is None:
+        raise ConfigError(f"{kind} '{reference}' ({found.source}) cannot be loaded: {found.problem}")
+    return found
+
+
+def configure(found: Found, options: dict[str, Any]) -> BaseModel | None:
+    """Check options against the plug-in's ``Config`` and fill in defaults.
+
+    Returns:
+        The effective configuration, or ``None`` where the plug-in takes no options.
+
+    Raises:
+        ConfigError: An unknown option or a value of the wrong type, in one line.
+    """
+    model = getattr(found.cls, "Config", None)
+    if model is None:
+        if options:
+            raise ConfigError(f"'{found.name}' takes no options (got '{next(iter(options))}')")
+        return None
+    config: BaseModel = parse_model(model, options, f"options of '{found.name}'")
+    return config
+
+
+def describe(found: Found) -> list[tuple[str, Any, str]]:
+    """Options of a plug-in: dotted name, default, and what it means."""
+    model = getattr(found.cls, "Config", None)
+    return [] if model is None else _describe(model(), "")
+
+
+def _describe(config: BaseModel, prefix: str) -> list[tuple[str, Any, str]]:
+    options: list[tuple[str, Any, str]] = []
+    for key, info in type(config).model_fields.items():
+        value = getattr(config, key)
+        if isinstance(value, BaseModel):
+            options += _describe(value, f"{prefix}{key}.")
+        else:
+            options.append((f"{prefix}{key}", value, info.description or ""))
+    return options
+
+
+def create(found: Found, options: dict[str, Any]) -> Any:
+    """An instance with its options.
+
+    Raises:
+        ConfigError: As :func:`configure`.
+    """
+    config = configure(found, options)
+    assert found.cls is not None
+    return found.cls() if config is None else found.cls(config)

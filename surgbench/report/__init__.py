@@ -1,0 +1,1 @@
+"""What derives from records: leaderboard rows, tables, and pictures of the estimates."""

@@ -1,0 +1,202 @@
+"""Rows as a terminal table, Markdown, CSV or JSON.
+
+CSV and JSON hold every column and every digit. The table and the Markdown are for reading: chosen columns, rounded,
+millimetres for lengths, the best value of a column in bold.
+"""
+
+from __future__ import annotations
+
+import csv as csv_format
+import io
+import json as json_format
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from surgbench.report.rows import INSTRUMENT_COLUMNS, Row
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+TABLE_WIDTH = 100
+ROW_MIN_WIDTH = 8
+NO_VALUE = "–"
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column for reading.
+
+    Attributes:
+        key: Key of the row.
+        short: Heading in the terminal, with the unit on a line of its own.
+        long: Heading in Markdown.
+        decimals: ``None`` for text and counts.
+        scale: Multiplies the value (1000 turns metres into millimetres).
+        best: The smallest value of a sound row is marked.
+        from_width: Terminals narrower than this go without it; Markdown shows all.
+    """
+
+    key: str
+    short: str
+    long: str
+    decimals: int | None = None
+    scale: float = 1.0
+    best: bool = False
+    from_width: int = 0
+
+    def text(self, row: Row) -> str:
+        """The value as shown."""
+        value = row[self.key]
+        if value is None:
+            return NO_VALUE
+        return str(value) if self.decimals is None else f"{value * self.scale:.{self.decimals}f}"
+
+
+ROW = Column("row_id", "row", "row")
+VARIANT = Column("variant", "variant", "variant", from_width=120)
+STATUS = Column("status", "status", "status")
+COLUMNS = (
+    ROW,
+    VARIANT,
+    Column("sequences", "seq.", "sequences"),
+    Column("coverage", "done\n%", "done [%]", 0, 100.0),
+    Column("mask_error", "mask\nerror", "mask error", 3, best=True),
+    Column("mask_error_true", "true\nmask", "true mask error", 3, best=True, from_width=100),
+    Column("rotation_error_rad", "rot.\nrad", "rotation [rad]", 3, best=True),
+    Column("translation_error_m", "trans.\nmm", "translation [mm]", 2, 1000.0, best=True),
+    Column("tip_error_m", "tips\nmm", "tips [mm]", 2, 1000.0, best=True, from_width=100),
+    Column("q1_error_rad", "q1\nrad", "q1 [rad]", 3, best=True),
+    Column("q2_error_rad", "q2\nrad", "q2 [rad]", 3, best=True),
+    Column("q3_error_rad", "q3\nrad", "q3 [rad]", 3, best=True),
+    Column("keypoint_error_px", "tips\npx", "keypoints [px]", 1, best=True),
+    Column("latency_ms", "time\nms", "latency [ms]", 1, best=True),
+    Column("latency_ms_p95", "p95\nms", "p95 [ms]", 1, from_width=100),
+)
+
+
+def csv(rows: Sequence[Row]) -> str:
+    """All columns; floats with all their digits, empty cells for missing values."""
+    out = io.StringIO()
+    writer = csv_format.DictWriter(out, INSTRUMENT_COLUMNS, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return out.getvalue()
+
+
+def json(rows: Sequence[Row]) -> str:
+    """A list of rows; floats with all their digits, null for missing values."""
+    return json_format.dumps(list(rows), indent=2, allow_nan=False, ensure_ascii=False) + "\n"
+
+
+def markdown(rows: Sequence[Row]) -> str:
+    """One table per dataset and number of arms, and a line for every failure."""
+    parts = []
+    for title, group in _groups(rows):
+        columns, best = _shown(group), _best(group)
+        if _failures(group):
+            columns.append(STATUS)
+        lines = [
+            f"### {_escape(title)}",
+            "",
+            _markdown_line([column.long for column in columns]),
+            _markdown_line(["---" if column.decimals is None else "---:" for column in columns]),
+        ]
+        for row in group:
+            cells = [_escape(column.text(row)) for column in columns]
+            marked = [
+                f"**{cell}**" if _is_best(column, row, best) else cell
+                for column, cell in zip(columns, cells, strict=True)
+            ]
+            lines.append(_markdown_line(marked))
+        failures = [f"- {_escape(line)}" for line in _failures(group)]
+        parts.append("\n".join([*lines, *([""] if failures else []), *failures]) + "\n")
+    return "\n".join(parts)
+
+
+def table(rows: Sequence[Row], width: int = TABLE_WIDTH) -> str:
+    """The terminal table as plain text, ``width`` characters wide."""
+    from rich.console import Console
+
+    out = io.StringIO()
+    print_leaderboard(rows, Console(file=out, width=width, color_system=None))
+    return "\n".join(line.rstrip() for line in out.getvalue().splitlines()) + "\n"
+
+
+def print_leaderboard(rows: Sequence[Row], console: Console) -> None:
+    """Print the leaderboard, fitted to the console's width (80 is enough).
+
+    Args:
+        rows: From :func:`surgbench.report.rows.derive_rows`.
+        console: Where to.
+    """
+    from rich import box
+    from rich.table import Table
+    from rich.text import Text
+
+    for title, group in _groups(rows):
+        columns, best = _shown(group, console.width), _best(group)
+        sheet = Table(title=Text(title), title_justify="left", box=box.SIMPLE_HEAD, padding=0, pad_edge=False)
+        for column in columns:
+            is_text = column in (ROW, VARIANT)
+            sheet.add_column(
+                Text(column.short),
+                justify="left" if is_text else "right",
+                no_wrap=not is_text,
+                overflow="fold",
+                min_width=ROW_MIN_WIDTH if is_text else None,
+            )
+        for row in group:
+            cells = [Text(column.text(row), style="bold" if _is_best(column, row, best) else "") for column in columns]
+            sheet.add_row(*cells, style="red" if row["status"] != "ok" else None)
+        console.print(sheet)
+        for line in _failures(group):
+            console.print(Text(line, style="red"), soft_wrap=True)
+
+
+def _groups(rows: Sequence[Row]) -> Iterator[tuple[str, list[Row]]]:
+    groups: dict[tuple[str, str], list[Row]] = {}
+    for row in rows:
+        groups.setdefault((row["dataset"], row["arms"]), []).append(row)
+    for (dataset, arms), group in groups.items():
+        yield f"{dataset}, {'single arms' if arms == 'single' else 'both arms together'}", group
+
+
+def _shown(rows: list[Row], width: int | None = None) -> list[Column]:
+    """Columns worth their room in ``width`` characters (``None``: any): not those without a value."""
+    ids = [row["row_id"] for row in rows]
+    ambiguous = len(set(ids)) < len(ids)
+    return [
+        column
+        for column in COLUMNS
+        # Rows of one name can be told apart by their variant alone.
+        if (width is None or width >= column.from_width or (column is VARIANT and ambiguous))
+        and (column is ROW or any(row[column.key] is not None for row in rows))
+        and (column.key != "coverage" or any(row["coverage"] < 1 for row in rows))
+    ]
+
+
+def _best(rows: list[Row]) -> dict[str, Any]:
+    sound = [row for row in rows if row["status"] == "ok"]
+    if len(sound) < 2:
+        return {}
+    values = {column.key: [row[column.key] for row in sound if row[column.key] is not None] for column in COLUMNS}
+    return {key: min(found) for key, found in values.items() if found}
+
+
+def _is_best(column: Column, row: Row, best: dict[str, Any]) -> bool:
+    value = row[column.key]
+    return column.best and row["status"] == "ok" and value is not None and value == best.get(column.key)
+
+
+def _failures(rows: list[Row]) -> list[str]:
+    failed = [row for row in rows if row["status"] != "ok"]
+    return [f"{row['row_id']}: {row['status']}: {row['error'] or 'no message'}" for row in failed]
+
+
+def _markdown_line(cells: list[str]) -> str:
+    return f"| {' | '.join(cells)} |"
+
+
+def _escape(text: str) -> str:
+    return text.replace("\\", "\\\\").replace("|", "\\|").replace("\n", " ")

@@ -1,0 +1,133 @@
+"""Rows of the leaderboard, derived from records."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from surgbench.geometry import FloatArray
+from surgbench.metrics import POSE_ERRORS, summarise
+from surgbench.report.records import Record, read_records
+
+Row = dict[str, Any]
+
+COMMON_COLUMNS = (
+    "row_id", "task", "dataset", "tracker", "variant", "settings_hash", "status", "error", "sequences", "frames",
+    "repeats", "coverage", "latency_ms", "latency_ms_p95", "latency_optimise_ms", "latency_keypoints_ms",
+    "latency_masks_ms", "calibration_ratio",
+)  # fmt: skip
+SETTING_COLUMNS = ("arms", "iterations", "readings", "initialiser", "keypoints", "filter", "views", "level")
+ERRORS = (*POSE_ERRORS[:-1], "mask_error", "mask_error_true", POSE_ERRORS[-1])
+INSTRUMENT_COLUMNS = (
+    *COMMON_COLUMNS,
+    *SETTING_COLUMNS,
+    *(f"{error}{suffix}" for error in ERRORS for suffix in ("", "_std", "_sem")),
+    "jitter",
+    "lost_frames",
+)
+
+
+def read_rows(directories: Iterable[Path]) -> list[Row]:
+    """Leaderboard rows of all records below some folders; see :func:`derive_rows`.
+
+    Raises:
+        DatasetError: A folder has no records, or one of them is damaged.
+    """
+    return derive_rows(read_records(directories))
+
+
+def derive_rows(records: Sequence[Record]) -> list[Row]:
+    """One row per dataset, row id, settings and number of arms.
+
+    Args:
+        records: In any order; it does not matter.
+
+    Returns:
+        Rows with the keys ``INSTRUMENT_COLUMNS``, ``None`` where there is no value; by dataset and arms, sound rows
+        before failed ones, then by mask error. Two datasets of one name get the start of their hash added to it.
+    """
+    groups: dict[tuple[str, str, str, int], list[Record]] = {}
+    for record in sorted(records, key=lambda r: (r.spec.unit, r.spec.repeat, r.spec_hash)):
+        spec = record.spec
+        # The same settings may be run on single arms and on pairs; those are not one row.
+        groups.setdefault((spec.dataset.sha256, spec.row_id, record.settings_hash, len(spec.arms)), []).append(record)
+    names = {record.spec.dataset.sha256: record.spec.dataset.name for record in records}
+    rows = [(key, _row(group)) for key, group in groups.items()]
+    for (sha256, *_), row in rows:
+        if list(names.values()).count(row["dataset"]) > 1:
+            row["dataset"] = f"{names[sha256]}@{sha256[:8]}"
+    rows.sort(key=lambda item: (_rank(item[1]), item[0]))
+    return [row for _, row in rows]
+
+
+def _rank(row: Row) -> tuple[Any, ...]:
+    error = row["mask_error"]
+    return (
+        row["dataset"],
+        row["arms"] != "single",
+        row["status"] != "ok",
+        error is None,
+        0.0 if error is None else error,
+        row["row_id"],
+    )
+
+
+def _row(records: list[Record]) -> Row:
+    spec = records[0].spec
+    failed = next((record for record in records if record.status != "ok"), None)
+    estimated = sum(len(record.frames.state) for record in records)
+    latency = _pooled(records, "latency_ms")
+    row: Row = {
+        "row_id": spec.row_id,
+        "task": spec.task,
+        "dataset": spec.dataset.name,
+        "tracker": spec.tracker.name,
+        "variant": records[0].variant,
+        "settings_hash": records[0].settings_hash,
+        "status": failed.status if failed else "ok",
+        "error": failed.error if failed else None,
+        "sequences": len({record.spec.unit for record in records}),
+        "frames": estimated,
+        "repeats": len({record.spec.repeat for record in records}),
+        "coverage": estimated / max(1, sum(record.unit_frames for record in records)),
+        "latency_ms": _median(latency),
+        "latency_ms_p95": float(np.percentile(latency, 95)) if latency.size else None,
+        "latency_optimise_ms": _median(_pooled(records, "latency_optimise_ms")),
+        "latency_keypoints_ms": _median(_pooled(records, "latency_keypoints_ms")),
+        "latency_masks_ms": _median(_pooled(records, "latency_masks_ms")),
+        "calibration_ratio": None,
+        "arms": "single" if len(spec.arms) == 1 else "dual",
+        "iterations": spec.tracker.options.get("iterations"),
+        "readings": spec.readings,
+        "initialiser": spec.initialiser.name,
+        "keypoints": spec.keypoints.name,
+        "filter": spec.filter.name,
+        "views": spec.views,
+        "level": spec.level,
+    }
+    for error in ERRORS:
+        summary = summarise(_by_sequence(records, error))
+        row |= {error: summary.mean, f"{error}_std": summary.std, f"{error}_sem": summary.sem}
+    row["jitter"] = summarise(_by_sequence(records, "jitter")).mean
+    row["lost_frames"] = sum(sum(record.frames.lost) for record in records)
+    return row
+
+
+def _by_sequence(records: list[Record], error: str) -> list[list[FloatArray]]:
+    sequences: dict[str, list[FloatArray]] = {}
+    for record in records:
+        if error in record.errors:
+            sequences.setdefault(record.spec.unit, []).append(record.errors[error])
+    return list(sequences.values())
+
+
+def _pooled(records: list[Record], key: str) -> FloatArray:
+    values = np.array([value for record in records for value in getattr(record.frames, key)], dtype=np.float64)
+    return values[~np.isnan(values)]
+
+
+def _median(values: FloatArray) -> float | None:
+    return float(np.median(values)) if values.size else None

@@ -1,0 +1,1 @@
+"""Planning, running and recording: every run of a tracker becomes one immutable record."""

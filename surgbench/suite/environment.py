@@ -1,0 +1,64 @@
+"""Where a run was made: versions, git state, machine. Collected once per process."""
+
+from __future__ import annotations
+
+import os
+import platform
+import subprocess
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import surgbench
+
+PACKAGES = ("numpy", "scipy", "numba", "opencv-python-headless", "mitsuba", "drjit", "trimesh", "torch")
+
+
+@cache
+def environment() -> dict[str, Any]:
+    """Versions, git state and machine, as they stand in a record."""
+    return {
+        "surgbench": surgbench.__version__,
+        "python": platform.python_version(),
+        "packages": {name: found for name in PACKAGES if (found := _version(name)) is not None},
+        "git": _git_state(),
+        "machine": {
+            "system": platform.platform(),
+            "processor": _processor(),
+            "cores": os.cpu_count(),
+        },
+    }
+
+
+def _version(package: str) -> str | None:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return None
+
+
+def _git_state() -> dict[str, Any] | None:
+    """Commit of the checkout surgbench runs from, and whether it has changes; ``None`` outside one."""
+    folder = Path(surgbench.__file__).resolve().parent
+
+    def git(*arguments: str) -> str | None:
+        try:
+            done = subprocess.run(["git", "-C", str(folder), *arguments], capture_output=True, text=True, check=True)
+        except (OSError, subprocess.CalledProcessError):
+            return None
+        return done.stdout.strip()
+
+    tracked = git("ls-files", "--error-unmatch", Path(surgbench.__file__).name)
+    commit = git("rev-parse", "HEAD") if tracked else None
+    return None if commit is None else {"commit": commit, "changed": bool(git("status", "--porcelain", "-uno"))}
+
+
+def _processor() -> str:
+    try:
+        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    except OSError:
+        pass
+    return platform.processor() or "unknown"

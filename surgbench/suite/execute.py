@@ -1,0 +1,235 @@
+"""One run from its job to its record."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from surgbench import metrics
+from surgbench.contract import Mask, Observation, Scene, View, no_image
+from surgbench.dataset.reader import Dataset, Sequence, Unit
+from surgbench.geometry import FloatArray
+from surgbench.instrument import Instrument
+from surgbench.report.records import RECORD_FORMAT
+from surgbench.silhouette import Reference, SilhouetteEvaluator
+from surgbench.state import STATE_SIZE
+from surgbench.suite.child import Child, ChildProblemError
+from surgbench.suite.plan import Job, Plug, Readings, Settings
+from surgbench.suite.worker import Answer, Setup
+
+
+class UnitData:
+    """A unit's frames as observations, and its truth.
+
+    Args:
+        dataset: The dataset.
+        unit: One of its units.
+        readings: Which joint readings observations hold.
+    """
+
+    def __init__(self, dataset: Dataset, unit: Unit, readings: Readings) -> None:
+        self.unit = unit
+        self.sequence: Sequence = dataset.sequence(unit.sequence)
+        self.camera = self.sequence.camera
+        self.instruments: tuple[Instrument, ...] = tuple(
+            dataset.instrument(self.sequence.entry.instruments[arm]) for arm in unit.arms
+        )
+        self._keypoints = [self.sequence.keypoints(arm) for arm in unit.arms]
+        self.truth = self._stack([self.sequence.states(arm) for arm in unit.arms])
+        self._joints = self._joint_readings(readings)
+
+    @staticmethod
+    def _stack(per_arm: list[FloatArray | None]) -> FloatArray | None:
+        """``(T, arms, n)`` from one ``(T, n)`` per arm."""
+        present = [values for values in per_arm if values is not None]
+        return np.stack(present, axis=1) if len(present) == len(per_arm) else None
+
+    def _joint_readings(self, readings: Readings) -> FloatArray | None:
+        if readings == "none":
+            return None
+        if readings == "true":
+            return None if self.truth is None else self.truth[:, :, 6:]
+        return self._stack([self.sequence.readings(arm) for arm in self.unit.arms])
+
+    @property
+    def frames(self) -> int:
+        """Number of frames."""
+        return self.sequence.frames
+
+    def scene(self) -> Scene:
+        """What stays the same over the sequence."""
+        empty = np.zeros((self.camera.height, self.camera.width), dtype=bool)
+        return Scene(
+            instruments=self.instruments,
+            views=(View(self.camera, np.eye(4), empty, keypoints=(None,) * len(self.unit.arms)),),
+            limits=tuple(instrument.search_limits for instrument in self.instruments),
+            dt_s=self.sequence.dt_s,
+            arms=len(self.unit.arms),
+            speed=self.sequence.speed,
+        )
+
+    def observation(self, frame: int, mask: Mask) -> Observation:
+        """What a tracker may know of a frame; ``start`` is the engine's to fill in."""
+        keypoints = tuple(None if np.isnan(arm[frame]).any() else arm[frame] for arm in self._keypoints)
+        has_images = self.sequence.entry.images
+        image = partial(self.sequence.image, frame) if has_images else no_image
+        joints = None
+        if self._joints is not None and not np.isnan(self._joints[frame]).any():
+            limits = [instrument.search_limits for instrument in self.instruments]
+            clipped = [box.clip(arm) for box, arm in zip(limits, self._joints[frame], strict=True)]
+            joints = clipped[0] if len(clipped) == 1 else np.stack(clipped)
+        return Observation(
+            index=frame,
+            timestamp_s=float(self.sequence.timestamps_s[frame]),
+            views=(View(self.camera, np.eye(4), mask, keypoints=keypoints, image=image),),
+            start=np.zeros(STATE_SIZE * len(self.unit.arms)),
+            joints=joints,
+        )
+
+
+def child_setup(job: Job, scene: Scene) -> Setup:
+    """What the child of a job is told before the first frame."""
+    settings: Settings = job.settings
+    axes: dict[str, str | int] = {
+        "seed": settings.protocol.seed,
+        "dataset": job.dataset_sha256,
+        "unit": job.unit.id,
+        "repeat": job.repeat,
+    }
+
+    def own(plug: Plug) -> dict[str, str | int]:
+        return {**axes, plug.kind: plug.name}
+
+    return Setup(
+        settings.tracker,
+        settings.initialiser,
+        settings.filter,
+        settings.keypoints,
+        scene,
+        own(settings.tracker),
+        own(settings.initialiser),
+    )
+
+
+def execute(
+    job: Job,
+    dataset: Dataset,
+    environment: dict[str, Any],
+    advance: Callable[[float], None],
+    initialising: Callable[[float], None],
+    children: set[Child],
+) -> dict[str, Any]:
+    """Run a job in a child process and measure what it estimated.
+
+    Args:
+        job: What to run.
+        dataset: The dataset it is about.
+        environment: Where it runs, for the record.
+        advance: Called with 1 for each frame done.
+        initialising: Called with how far the initialiser is, 0 to 1.
+        children: Holds the child while it lives, so that it can be stopped from outside.
+
+    Returns:
+        The record, whatever became of the run.
+
+    Raises:
+        SurgbenchError: The dataset itself is at fault.
+    """
+    data = UnitData(dataset, job.unit, job.settings.readings)
+    evaluator = SilhouetteEvaluator(data.instruments, data.camera)
+    answers: list[Answer] = []
+    mask_errors: list[tuple[float, float | None]] = []
+    status, error, trace, initialise_s = "ok", None, None, None
+    child = Child(job.settings.protocol.timeout_s)
+    children.add(child)
+    try:
+        child.send("setup", child_setup(job, data.scene()))
+        child.receive()
+        for frame in range(data.frames):
+            mask = data.sequence.mask(job.unit.kind, frame)
+            observation = data.observation(frame, mask)
+            if frame == 0:
+                needs_truth = data.truth is not None and job.settings.initialiser.name == "truth"
+                truth = data.truth[0].reshape(-1) if needs_truth and data.truth is not None else None
+                child.send("first", observation, truth)
+                while (message := child.receive())[0] == "progress":
+                    initialising(message[1])
+                initialising(1.0)
+                initialise_s = message[2]
+            child.send("step", observation)
+            clean = None if data.truth is None else data.sequence.clean_mask(job.unit.kind, frame)
+            answer: Answer = child.receive()[1]
+            answers.append(answer)
+            mask_errors.append(_mask_errors(evaluator, answer.state, mask, clean))
+            advance(1)
+    except ChildProblemError as problem:
+        status, error, trace = problem.status, f"frame {len(answers)}: {problem}", problem.traceback
+    finally:
+        children.discard(child)
+        child.stop()
+    return {
+        "format": RECORD_FORMAT,
+        "spec_hash": job.hash,
+        "settings_hash": job.settings.hash,
+        "variant": job.settings.variant,
+        "spec": job.spec(),
+        "status": status,
+        "error": error,
+        "traceback": trace,
+        "environment": environment,
+        "dataset_path": str(dataset.path),
+        "initialise_s": initialise_s,
+        "unit_frames": data.frames,
+        "frames": _frames(answers),
+        "errors": _errors(data, answers, mask_errors),
+    }
+
+
+def _mask_errors(
+    evaluator: SilhouetteEvaluator, state: FloatArray, mask: Mask, clean: Mask | None
+) -> tuple[float, float | None]:
+    def error(reference: Mask) -> float:
+        prepared = Reference(reference)
+        return float(1.0 - evaluator.score(state[None], prepared).iou(prepared)[0])
+
+    return error(mask), None if clean is None else error(clean)
+
+
+def _frames(answers: list[Answer]) -> dict[str, list[Any]]:
+    columns: dict[str, list[Any]] = {"index": list(range(len(answers)))}
+    for name in Answer.__dataclass_fields__:
+        values = [getattr(answer, name) for answer in answers]
+        columns[name] = [value.tolist() if isinstance(value, np.ndarray) else value for value in values]
+    return columns
+
+
+def _errors(
+    data: UnitData, answers: list[Answer], mask_errors: list[tuple[float, float | None]]
+) -> dict[str, list[Any] | None]:
+    """Errors of all frames; ``None`` where there is no truth to hold them against."""
+    errors: dict[str, list[Any] | None] = {name: None for name in metrics.POSE_ERRORS}
+    states = np.array([answer.state for answer in answers]).reshape(len(answers), len(data.unit.arms), STATE_SIZE)
+    if data.truth is not None:
+        per_arm = [
+            metrics.pose_errors(instrument, data.camera, states[:, arm], data.truth[: len(answers), arm])
+            for arm, instrument in enumerate(data.instruments)
+        ]
+        for name in metrics.POSE_ERRORS:
+            errors[name] = _finite(np.stack([arm[name] for arm in per_arm], axis=1))
+    errors["mask_error"] = [observed for observed, _ in mask_errors]
+    errors["mask_error_true"] = None if data.truth is None else [clean for _, clean in mask_errors]
+    tips = [instrument.tips_cam(states[:, arm]) for arm, instrument in enumerate(data.instruments)]
+    errors["jitter"] = _finite(np.array([metrics.jitter(arm, data.sequence.dt_s) for arm in tips]))
+    return errors
+
+
+def _finite(values: FloatArray) -> list[Any]:
+    """Nested lists with ``None`` for NaN, which JSON has not."""
+    nested = values.astype(object)
+    nested[~np.isfinite(values)] = None
+    return list(nested.tolist())
+
+

@@ -1,0 +1,214 @@
+"""What is to be run: rows of settings, checked and complete, times the units of a dataset."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from surgbench.dataset.reader import Dataset, Unit
+from surgbench.errors import ConfigError
+from surgbench.files import canonical_json, sha256_text
+from surgbench.registry import Found, Kind, configure, find
+
+Readings = Literal["none", "noisy", "true"]
+HASH_DIGITS = 16
+
+
+class Row(BaseModel):
+    """One row of a suite, as a file or the command line asks for it.
+
+    Attributes:
+        tracker: Registered name or ``FILE.py:Class``.
+        row_id: Name in the tables; the tracker's name (with ``-joints`` where it reads joints) unless told.
+        initialiser: ``truth`` where the dataset has it, else ``random``, unless told.
+        filter: State filter.
+        keypoints: Keypoint source.
+        readings: Which joint readings the tracker is given.
+        options: Plug-in name to its options, for example ``{"cmaes": {"iterations": 5}}``.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    tracker: str
+    row_id: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")] | None = None
+    initialiser: str | None = None
+    filter: str = "kalman"
+    keypoints: str = "observed"
+    readings: Readings = "none"
+    options: dict[str, dict[str, Any]] = {}
+
+
+class Protocol(BaseModel):
+    """What all rows of a run share."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    arms: Literal["single", "dual"] = "single"
+    seed: Annotated[int, Field(ge=0)] = 0
+    repeats: Annotated[int, Field(ge=1)] = 1
+    timeout_s: Annotated[float, Field(gt=0)] = 120.0
+
+
+class Suite(Protocol):
+    """A suite file: rows and what they share."""
+
+    rows: Annotated[tuple[Row, ...], Field(min_length=1)]
+
+
+@dataclass(frozen=True)
+class Plug:
+    """A plug-in with its effective options, as it stands in a record and is sent to the child process."""
+
+    kind: Kind
+    reference: str
+    name: str
+    source: str
+    options: dict[str, Any]
+    changed: dict[str, Any]
+
+    def spec(self) -> dict[str, Any]:
+        """Its part of a record's specification."""
+        return {"name": self.name, "options": self.options, "source": self.source}
+
+
+@dataclass(frozen=True)
+class Settings:
+    """One row, complete: every option that the estimates depend on has its value."""
+
+    row_id: str
+    tracker: Plug
+    initialiser: Plug
+    filter: Plug
+    keypoints: Plug
+    readings: Readings
+    protocol: Protocol
+
+    def spec(self) -> dict[str, Any]:
+        """The part of a record's specification that is the same for all units and repeats."""
+        return {
+            "task": "instrument",
+            "row_id": self.row_id,
+            "tracker": self.tracker.spec(),
+            "initialiser": self.initialiser.spec(),
+            "filter": self.filter.spec(),
+            "keypoints": self.keypoints.spec(),
+            "readings": self.readings,
+            "seed": self.protocol.seed,
+            "timeout_s": self.protocol.timeout_s,
+        }
+
+    @property
+    def hash(self) -> str:
+        """Hash of the settings without dataset, unit and repeat."""
+        return sha256_text(canonical_json(self.spec()))[:HASH_DIGITS]
+
+    @property
+    def variant(self) -> str:
+        """What differs from the defaults, in a few words."""
+        words = [f"{key}={value}" for key, value in _flat(self.tracker.changed)]
+        if self.readings != "none":
+            words.append(f"{self.readings} readings")
+        for plug, usual in ((self.filter, "kalman"), (self.keypoints, "observed"), (self.initialiser, "truth")):
+            if plug.name != usual or plug.changed:
+                changed = ", ".join(f"{key}={value}" for key, value in _flat(plug.changed))
+                words.append(f"{plug.kind} {plug.name}" + (f" ({changed})" if changed else ""))
+        return ", ".join(words) or "default"
+
+
+@dataclass(frozen=True)
+class Job:
+    """One run: one tracker with its settings on one unit, one repeat."""
+
+    settings: Settings
+    dataset_name: str
+    dataset_sha256: str
+    unit: Unit
+    frames: int
+    repeat: int
+
+    def spec(self) -> dict[str, Any]:
+        """The whole specification: everything that the estimates depend on."""
+        return {
+            **self.settings.spec(),
+            "dataset": {"name": self.dataset_name, "sha256": self.dataset_sha256},
+            "unit": self.unit.id,
+            "sequence": self.unit.sequence,
+            "arms": list(self.unit.arms),
+            "mask_kind": self.unit.kind,
+            "repeat": self.repeat,
+        }
+
+    @property
+    def hash(self) -> str:
+        """Hash of the specification: two runs with the same one have the same estimates."""
+        return sha256_text(canonical_json(self.spec()))[:HASH_DIGITS]
+
+    @property
+    def path(self) -> str:
+        """Where its record lies below the output folder."""
+        folder = f"{self.dataset_name}-{self.dataset_sha256[:8]}/{self.settings.row_id}-{self.settings.hash[:8]}"
+        return f"{folder}/{self.unit.id}-r{self.repeat}.json"
+
+
+def _flat(options: dict[str, Any], prefix: str = "") -> list[tuple[str, Any]]:
+    pairs: list[tuple[str, Any]] = []
+    for key, value in options.items():
+        if isinstance(value, dict):
+            pairs += _flat(value, f"{prefix}{key}.")
+        else:
+            pairs.append((f"{prefix}{key}", value))
+    return pairs
+
+
+def _plug(kind: Kind, reference: str, options: dict[str, dict[str, Any]]) -> tuple[Plug, Found]:
+    found = find(kind, reference)
+    given = options.get(found.name, {})
+    config = configure(found, given)
+    effective = {} if config is None else config.model_dump(mode="json")
+    changed = {} if config is None else config.model_dump(mode="json", exclude_defaults=True)
+    return Plug(kind, reference, found.name, f"{found.source}@{found.hash}", effective, changed), found
+
+
+def complete(row: Row, protocol: Protocol, dataset: Dataset) -> Settings:
+    """Look up everything a row names, check its options, and fill in the defaults.
+
+    Raises:
+        NotFoundError: A name that is not registered.
+        ConfigError: An option that no plug-in of the row takes, or a wrong value.
+    """
+    has_truth = all(sequence.entry.truth for sequence in dataset.sequences)
+    has_readings = all(sequence.entry.readings for sequence in dataset.sequences)
+    tracker, _ = _plug("tracker", row.tracker, row.options)
+    initialiser, found = _plug("initialiser", row.initialiser or ("truth" if has_truth else "random"), row.options)
+    state_filter, _ = _plug("filter", row.filter, row.options)
+    keypoints, _ = _plug("keypoints", row.keypoints, row.options)
+    names = [plug.name for plug in (tracker, initialiser, state_filter, keypoints)]
+    for name in row.options:
+        if name not in names:
+            raise ConfigError(f"--set {name}.…: '{name}' takes no part in this run (taking part: {', '.join(names)})")
+    if getattr(found.cls, "needs_truth", False) and not has_truth:
+        raise ConfigError(
+            f"initialiser '{initialiser.name}' needs ground truth, which '{dataset.name}' has not; "
+            "use --initialiser random"
+        )
+    if row.readings == "true" and not has_truth:
+        raise ConfigError(f"--readings true needs ground truth, which '{dataset.name}' has not; use --joints")
+    if row.readings == "noisy" and not has_readings:
+        raise ConfigError(f"'{dataset.name}' has no joint readings; use --no-joints")
+    row_id = row.row_id or tracker.name + ("-joints" if row.readings != "none" else "")
+    return Settings(row_id, tracker, initialiser, state_filter, keypoints, row.readings, protocol)
+
+
+def jobs(settings: Settings, dataset: Dataset) -> list[Job]:
+    """One job per unit and repeat, in the dataset's order.
+
+    Raises:
+        DatasetError: The dataset has nothing to run with this number of arms.
+    """
+    return [
+        Job(settings, dataset.name, dataset.hash, unit, dataset.sequence(unit.sequence).frames, repeat)
+        for unit in dataset.units(settings.protocol.arms)
+        for repeat in range(settings.protocol.repeats)
+    ]

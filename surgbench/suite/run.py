@@ -1,0 +1,154 @@
+"""Run what is planned and not there yet, several at a time, and write every record as soon as it is made."""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections.abc import Callable
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from surgbench.dataset.reader import Dataset
+from surgbench.errors import DatasetError, SurgbenchError
+from surgbench.files import PARTIAL_SUFFIX, canonical_json, write_atomic
+from surgbench.report.records import RECORD_FORMAT
+from surgbench.suite.child import Child
+from surgbench.suite.environment import environment
+from surgbench.suite.execute import execute
+from surgbench.suite.plan import Job
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a call of ``run`` will do.
+
+    Attributes:
+        todo: Jobs without a sound record.
+        done: Number of jobs whose record is there already.
+        retried: Number of jobs among ``todo`` whose record says that they failed.
+    """
+
+    todo: tuple[Job, ...]
+    done: int
+    retried: int
+
+    @property
+    def frames(self) -> int:
+        """Frames to be tracked."""
+        return sum(job.frames for job in self.todo)
+
+
+def check_output(out: Path) -> None:
+    """Refuse an output folder that holds something else than records.
+
+    Raises:
+        SurgbenchError: It is a file, a dataset, or a folder of other things.
+    """
+    if not out.exists():
+        return
+    if not out.is_dir():
+        raise SurgbenchError(f"{out}: is a file; --out names a folder for records")
+    if (out / "dataset.json").exists() or (out / "generating.json").exists():
+        raise SurgbenchError(f"{out}: is a dataset; give records a folder of their own with --out")
+    strangers = sorted(path.name for path in out.iterdir() if path.is_file() and not path.name.endswith(PARTIAL_SUFFIX))
+    ours = {"leaderboard.csv", "leaderboard.md", "leaderboard.json"}
+    strangers = [name for name in strangers if name not in ours]
+    if strangers:
+        raise SurgbenchError(f"{out}: holds something else ('{strangers[0]}'); records need a folder of their own")
+
+
+def make_plan(jobs: list[Job], out: Path, retry_failed: bool = True) -> Plan:
+    """Sort jobs by what is already there.
+
+    Raises:
+        DatasetError: A record is damaged, or is of another run.
+    """
+    todo, done, retried = [], 0, 0
+    for job in jobs:
+        status = _recorded_status(out / job.path, job)
+        if status is None or (status != "ok" and retry_failed):
+            todo.append(job)
+            retried += status is not None
+        else:
+            done += 1
+    return Plan(tuple(todo), done, retried)
+
+
+def _recorded_status(path: Path, job: Job) -> str | None:
+    try:
+        record = json.loads(path.read_text(encoding="utf-8"))
+        if record["format"] == RECORD_FORMAT and record["spec_hash"] == job.hash:
+            return str(record["status"])
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError, KeyError, TypeError):
+        raise DatasetError(f"{path}: damaged record; delete it and run again") from None
+    raise DatasetError(f"{path}: record of another run; choose another --out")
+
+
+def run(
+    plan: Plan,
+    dataset: Dataset,
+    out: Path,
+    workers: int,
+    advance: Callable[[float], None],
+    stage: Callable[[str, float], None],
+    finished: Callable[[dict[str, Any]], None],
+) -> None:
+    """Run the plan's jobs.
+
+    Args:
+        plan: From :func:`make_plan`.
+        dataset: The dataset all jobs are about.
+        out: Folder of records.
+        workers: Jobs at a time.
+        advance: Called with the frames done since.
+        stage: Called with a description and a fraction while an initialiser works.
+        finished: Called with every record once it is written.
+
+    Raises:
+        SurgbenchError: A record cannot be written, or the dataset is at fault; runs in work are ended.
+    """
+    children: set[Child] = set()
+    stopping = threading.Event()
+
+    def one(job: Job) -> dict[str, Any] | None:
+        if stopping.is_set():
+            return None
+        label = f"{job.settings.row_id} {job.unit.id}: finding the instrument"
+        frames_done = 0.0
+
+        def count(amount: float) -> None:
+            nonlocal frames_done
+            frames_done += amount
+            advance(amount)
+
+        record = execute(job, dataset, environment(), count, lambda fraction: stage(label, fraction), children)
+        if stopping.is_set():
+            return None
+        advance(job.frames - frames_done)
+        try:
+            write_atomic(out / job.path, (canonical_json(record) + "\n").encode())
+        except OSError as error:
+            raise SurgbenchError(f"{out / job.path}: cannot be written ({error.strerror})") from None
+        return record
+
+    with ThreadPoolExecutor(max_workers=workers) as pool:
+        waiting: set[Future[dict[str, Any] | None]] = {pool.submit(one, job) for job in plan.todo}
+        try:
+            while waiting:
+                ended, waiting = wait(waiting, return_when=FIRST_COMPLETED)
+                for future in ended:
+                    record = future.result()
+                    if record is not None:
+                        finished(record)
+        except BaseException:
+            # Ctrl-C or a fault: what is in work ends now, what is written stays.
+            stopping.set()
+            for future in waiting:
+                future.cancel()
+            for child in list(children):
+                child.kill()
+            raise

@@ -1,0 +1,88 @@
+"""Suites: rows from a file, from the command line, or from a file changed by the command line."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import yaml
+
+from surgbench.config import locate, parse_model, read_yaml
+from surgbench.errors import ConfigError
+from surgbench.suite.plan import Row, Suite
+
+
+def load_suite(reference: str) -> Suite:
+    """A suite by name (``surgbench list suites``) or from a YAML file.
+
+    Raises:
+        NotFoundError: No such suite.
+        ConfigError: An unknown key or a wrong value; one line.
+    """
+    path = locate("suites", "suite", reference)
+    return parse_model(Suite, read_yaml(path, "suite"), str(path))
+
+
+def from_command_line(
+    base: Suite | None, trackers: list[str], row: dict[str, Any], sets: list[str], protocol: dict[str, Any]
+) -> Suite:
+    """Rows for the trackers of the command line, or a suite's rows with what the command line overrides.
+
+    Args:
+        base: The suite asked for, if any.
+        trackers: References of ``--tracker``.
+        row: Settings for every row; ``None`` where the command line says nothing.
+        sets: Texts of ``--set``, ``NAME.option=value``.
+        protocol: Seed and the like; ``None`` where the command line says nothing.
+
+    Raises:
+        ConfigError: Both or neither of suite and trackers, or a malformed ``--set``.
+    """
+    if (base is None) == (not trackers):
+        raise ConfigError("say what to run: --tracker NAME (see: surgbench list trackers), or --suite NAME, not both")
+    given = {key: value for key, value in row.items() if value is not None}
+    options = parse_sets(sets)
+    if base is None:
+        rows = [Row(tracker=tracker, options=options, **given) for tracker in trackers]
+        kept: dict[str, Any] = {}
+    else:
+        rows = [
+            one.model_copy(update={**given, "options": _merged(one.options, options)}) for one in base.rows
+        ]
+        kept = base.model_dump(exclude={"rows"})
+    changed = {key: value for key, value in protocol.items() if value is not None}
+    return Suite(rows=tuple(rows), **{**kept, **changed})
+
+
+def parse_sets(sets: list[str]) -> dict[str, dict[str, Any]]:
+    """``["cmaes.loss.keypoints=0"]`` to ``{"cmaes": {"loss": {"keypoints": 0}}}``; values are YAML.
+
+    Raises:
+        ConfigError: A text that is not ``NAME.option=value``.
+    """
+    options: dict[str, dict[str, Any]] = {}
+    for text in sets:
+        key, equals, value = text.partition("=")
+        name, *path = key.strip().split(".")
+        if not equals or not path or not all([name, *path]):
+            raise ConfigError(f"--set {text}: must be NAME.option=value, for example cmaes.iterations=5")
+        try:
+            parsed = yaml.safe_load(value)
+        except yaml.YAMLError:
+            raise ConfigError(f"--set {text}: '{value}' is not a value") from None
+        here = options.setdefault(name, {})
+        for part in path[:-1]:
+            here = here.setdefault(part, {})
+            if not isinstance(here, dict):
+                raise ConfigError(f"--set {text}: '{part}' is set to a value already")
+        here[path[-1]] = parsed
+    return options
+
+
+def _merged(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
+    merged = dict(base)
+    for key, value in over.items():
+        both = isinstance(value, dict) and isinstance(merged.get(key), dict)
+        merged[key] = _merged(merged[key], value) if both else value
+    return merged
+
+

@@ -1,0 +1,19 @@
+"""Cameras that several tests use."""
+
+from __future__ import annotations
+
+import pytest
+
+from surgbench.camera import Camera
+
+
+@pytest.fixture(scope="session")
+def camera() -> Camera:
+    """The camera of the paper's code for 700 x 493 pixels."""
+    return Camera(width=700, height=493, fx=905.955, fy=904.820, cx=294.280, cy=238.699)
+
+
+@pytest.fixture(scope="session")
+def small_camera() -> Camera:
+    """An eighth of the paper's camera, fast enough for brute force."""
+    return Camera(width=88, height=62, fx=113.2, fy=113.1, cx=36.3, cy=29.4)

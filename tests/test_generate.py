@@ -1,0 +1,482 @@
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections import namedtuple
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from surgbench.camera import Camera
+from surgbench.dataset import Dataset
+from surgbench.dataset.validate import validate
+from surgbench.errors import ConfigError, DatasetError, NotFoundError, SurgbenchError
+from surgbench.generators import generate as module
+from surgbench.generators.corruption import corrupt
+from surgbench.generators.generate import generate, plan_dataset
+from surgbench.generators.observations import observe_joints, observe_keypoints
+from surgbench.generators.presets import (
+    CORRUPTION_LEVELS,
+    Keypoints,
+    Preset,
+    Readings,
+    builtin_presets,
+    load_preset,
+)
+from surgbench.generators.render import MaskRenderer
+from surgbench.generators.trajectories import make_pair
+from surgbench.geometry import FloatArray
+from surgbench.instrument import Instrument, load_instrument
+from surgbench.randomness import generator
+from surgbench.silhouette import SilhouetteEvaluator
+from surgbench.state import JOINTS, POSITION
+
+SMALL = Camera(width=175, height=123, fx=226.5, fy=224.0, cx=73.2, cy=59.3)
+FEW = Preset(name="few", pairs=2, frames=3, camera=SMALL)
+
+
+@pytest.fixture(scope="module")
+def instrument() -> Instrument:
+    return load_instrument("large_needle_driver")
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A small dataset made without disturbance."""
+    out = tmp_path_factory.mktemp("made") / "few"
+    assert generate(plan_dataset(FEW), out)
+    return out
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def states_around_the_camera(count: int) -> FloatArray:
+    """Most with the shaft crossing the camera's plane, some partly or wholly behind it or outside the image."""
+    rng = generator(test="around")
+    states = np.empty((count, 9))
+    states[:, :3] = rng.uniform([-1.5, -3.1, -3.1], [1.5, 3.1, 3.1], (count, 3))
+    states[:, POSITION] = rng.uniform([-0.04, -0.03, -0.02], [0.04, 0.03, 0.15], (count, 3))
+    states[:, JOINTS] = rng.uniform([-1.4, -1.4, 0.0], [1.4, 1.4, 0.7], (count, 3))
+    return states
+
+
+# Rendering
+
+
+def brute_force(instrument: Instrument, state: FloatArray, camera: Camera) -> np.ndarray:
+    """Which pixel centres' rays meet a triangle in front of the camera, in float64."""
+    rows, columns = np.mgrid[: camera.height, : camera.width]
+    rays = np.stack([(columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy, np.ones(rows.shape)], axis=-1)
+    rays = rays.reshape(-1, 3)
+    hit = np.zeros(len(rays), dtype=bool)
+    transforms = instrument.link_transforms(state)
+    for name, mesh in instrument.meshes.items():
+        transform = transforms[instrument.link_index[name]]
+        vertices = mesh.vertices_m @ transform[:3, :3].T + transform[:3, 3]
+        for corners in vertices[mesh.faces]:
+            sides = np.stack([np.cross(corners[i], corners[(i + 1) % 3]) @ rays.T for i in range(3)])
+            inside = (sides >= 0).all(axis=0) | (sides <= 0).all(axis=0)
+            if not inside.any():
+                continue
+            normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
+            with np.errstate(divide="ignore", invalid="ignore"):
+                depth = (normal @ corners[0]) / (rays @ normal)
+            hit |= inside & (depth > 0.001)
+    return hit.reshape(rows.shape)
+
+
+def test_rendered_masks_are_those_of_a_pixel_centre_rasteriser(instrument: Instrument) -> None:
+    camera = Camera(width=88, height=62, fx=113.2, fy=109.1, cx=36.3, cy=29.4)
+    renderer = MaskRenderer([instrument], camera)
+    seen = 0
+    for state in [*states_around_the_camera(6), np.array([-0.3, 0.4, 0.8, 0.0, 0.0, 0.13, 0.3, -0.2, 0.3])]:
+        expected = brute_force(instrument, state, camera)
+        assert np.count_nonzero(renderer.mask(state) != expected) <= 1
+        seen += bool(expected.any())
+    assert seen >= 3
+
+
+def test_rendered_masks_are_those_of_the_evaluator(instrument: Instrument, camera: Camera) -> None:
+    renderer, evaluator = MaskRenderer([instrument], camera), SilhouetteEvaluator([instrument], camera)
+    pair = make_pair(load_preset("paper"), instrument, "fast", 200, generator(test=0))
+    states = [*pair[::40].reshape(-1, 9), *states_around_the_camera(80)]
+    crossing = visible = 0
+    for state in states:
+        expected = evaluator.mask(state)
+        area = np.count_nonzero(expected)
+        assert np.count_nonzero(renderer.mask(state) != expected) <= max(1, 0.001 * area)
+        vertices = instrument.meshes["shaft"].vertices_m @ instrument.link_transforms(state)[0, 2, :3]
+        vertices += state[5]
+        crossing += bool(area and vertices.min() < 0 < vertices.max())
+        visible += bool(area)
+    assert crossing >= 20
+    assert visible < len(states)
+
+
+def test_union_of_the_arms_is_what_mitsuba_renders_of_both(instrument: Instrument, camera: Camera) -> None:
+    both, one = MaskRenderer([instrument, instrument], camera), MaskRenderer([instrument], camera)
+    for states in make_pair(load_preset("paper"), instrument, "nominal", 100, generator(test=1))[::25]:
+        union = one.mask(states[0]) | one.mask(states[1])
+        # The film's crop moves rays by a rounding error: ties at edges may fall either way.
+        assert np.count_nonzero(both.mask(states) != union) <= 2
+        assert union.sum() > 5000
+
+
+def test_a_renderer_does_not_remember(instrument: Instrument) -> None:
+    renderer = MaskRenderer([instrument], SMALL)
+    states = make_pair(FEW, instrument, "nominal", 40, generator(test=2))[::13, 0]
+    first = [renderer.mask(state) for state in states]
+    again = [renderer.mask(state) for state in states[::-1]][::-1]
+    assert all(np.array_equal(a, b) for a, b in zip(first, again, strict=True))
+    assert not np.array_equal(first[0], first[-1])
+
+
+# Corruption, keypoints, readings
+
+
+@pytest.fixture(scope="module")
+def clean(instrument: Instrument, camera: Camera) -> np.ndarray:
+    return MaskRenderer([instrument], camera).mask(np.array([-0.3, 0.4, 0.8, 0.0, 0.0, 0.13, 0.3, -0.2, 0.3]))
+
+
+def mask_error(clean: np.ndarray, corrupted: np.ndarray) -> float:
+    return 1.0 - float((clean & corrupted).sum() / (clean | corrupted).sum())
+
+
+def test_corruption_levels(clean: np.ndarray) -> None:
+    errors = {
+        level: [mask_error(clean, corrupt(clean, settings, generator(test=index))) for index in range(300)]
+        for level, settings in CORRUPTION_LEVELS.items()
+    }
+    assert max(errors["none"]) == 0
+    # P(no 3x3 morphology) P(no blobs of any size) = 0.957 * 0.684, and a few Poisson draws of 0 or discs all rejected.
+    assert np.mean(np.array(errors["published"]) == 0) == pytest.approx(0.66, abs=0.08)
+    assert 0.001 < np.mean(errors["published"]) < 0.02
+    assert 0.03 < np.mean(errors["strong"]) < 0.12
+
+
+def test_published_blobs_only_add_and_strong_ones_also_cut(clean: np.ndarray) -> None:
+    def changes(level: str) -> tuple[int, int]:
+        settings = CORRUPTION_LEVELS[level].model_copy(update={"morphology": ()})
+        masks = [corrupt(clean, settings, generator(test=index)) for index in range(60)]
+        return sum(int((~clean & mask).sum()) for mask in masks), sum(int((clean & ~mask).sum()) for mask in masks)
+
+    added, removed = changes("published")
+    assert added > 0
+    assert removed == 0
+    added, removed = changes("strong")
+    assert 0.5 < added / removed < 2
+
+
+def test_corruption_leaves_the_clean_mask_alone_and_survives_an_empty_one(clean: np.ndarray) -> None:
+    before = clean.copy()
+    for index in range(20):
+        corrupt(clean, CORRUPTION_LEVELS["strong"], generator(test=index))
+        assert not corrupt(np.zeros_like(clean), CORRUPTION_LEVELS["strong"], generator(test=index)).any()
+    assert np.array_equal(clean, before)
+
+
+def test_keypoints_are_noisy_unordered_and_drop_out(instrument: Instrument, camera: Camera) -> None:
+    state = np.array([-0.3, 0.4, 0.8, 0.0, 0.0, 0.13, 0.3, -0.2, 0.3])
+    tips = camera.project(instrument.tips_cam(state))
+    states = np.tile(state, (2000, 1))
+    settings = Keypoints(noise_px=2.0, dropout=0.1)
+    seen = observe_keypoints(states, instrument, camera, settings, generator(test="keypoints"))
+    lost = np.isnan(seen)
+    assert (lost.any(axis=2) == lost.all(axis=2)).all()
+    assert lost.all(axis=2).mean() == pytest.approx(0.1, abs=0.02)
+    pairs = seen[~lost.any(axis=(1, 2))]
+    swapped = np.linalg.norm(pairs[:, 0] - tips[1], axis=1) < np.linalg.norm(pairs[:, 0] - tips[0], axis=1)
+    assert swapped.mean() == pytest.approx(0.5, abs=0.05)
+    pairs[swapped] = pairs[swapped][:, ::-1]
+    assert (pairs - tips).std() == pytest.approx(2.0, abs=0.1)
+    states[:, 3] = 0.2  # out of the image
+    assert np.isnan(observe_keypoints(states, instrument, camera, settings, generator(test=0))).all()
+
+
+def test_readings_have_bias_drift_and_noise() -> None:
+    states = np.zeros((1000, 9))
+    settings = Readings(bias_rad=0.02, drift_rad=0.01, noise_rad=0.002)
+    readings = np.stack([observe_joints(states, settings, generator(test=index)) for index in range(100)])
+    assert readings.shape == (100, 1000, 3)
+    assert readings.std() == pytest.approx(np.sqrt(0.02**2 + 0.01**2 + 0.002**2), rel=0.15)
+    assert np.diff(readings, axis=1).std() == pytest.approx(np.sqrt(2 * 0.002**2 + 2 * 0.005 * 0.01**2), rel=0.1)
+    assert readings.min() < 0  # raw: not clipped to the jaw's limit
+
+
+# Presets
+
+
+def test_every_preset_loads() -> None:
+    assert builtin_presets() == ["mini", "paper"]
+    mini, paper = load_preset("mini"), load_preset("paper")
+    assert (mini.pairs, mini.frames) == (1, 60)
+    assert (paper.pairs, paper.frames) == (16, 1000)
+    assert [entry.speed for entry in plan_dataset(paper).sequences] == ["nominal"] * 8 + ["fast"] * 8
+    assert [entry.speed for entry in plan_dataset(mini).sequences] == ["nominal"]
+
+
+def test_paper_yaml_spells_out_the_defaults() -> None:
+    assert load_preset("paper") == Preset(name="paper", pairs=16, frames=1000)
+
+
+def test_options_override_the_preset() -> None:
+    preset = load_preset("mini", pairs=3, frames=7, seed=5, corruption="strong")
+    assert (preset.pairs, preset.frames, preset.seed) == (3, 7, 5)
+    assert preset.corruption == CORRUPTION_LEVELS["strong"]
+
+
+HEAD = "name: x\npairs: 1\nframes: 3\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("name: x\npairz: 1\nframes: 3\n", "unknown key 'pairz'; did you mean 'pairs'?"),
+        (HEAD + "motion: {ou_roh: 0.9}\n", "unknown key 'motion.ou_roh'; did you mean 'ou_rho'?"),
+        (HEAD + "camera: {widht: 3}\n", "unknown key 'camera.widht'; did you mean 'width'?"),
+        (HEAD + "corruption: {blobs: [{radius: 3}]}\n", "unknown key 'corruption.blobs.0.radius'; did you mean"),
+        ("name: x\nframes: 3\n", "key 'pairs' is missing"),
+        ("name: x\npairs: many\nframes: 3\n", "'pairs': input should be a valid integer"),
+        (HEAD + "seed: -1\n", "'seed': input should be greater than or equal to 0, not -1"),
+        (HEAD + "corruption: strnog\n", "unknown corruption level 'strnog'; did you mean 'strong'?"),
+        (HEAD + "workspace: {reach: [0.6, 0.2]}\n", "'workspace': reach must be [lower, upper] with lower < upper"),
+        (HEAD + "motion: {lowpass_cutoff_hz: 15}\n", "motion.lowpass_cutoff_hz must be below half the frame rate, 15"),
+        (HEAD + "dt_s: .nan\n", "'dt_s': "),
+        ("[1, 2]\n", "a preset file must be a mapping of keys"),
+        ("name: [x\n", "not valid YAML"),
+    ],
+)
+def test_a_wrong_preset_file_is_one_line_that_names_file_and_key(tmp_path: Path, text: str, message: str) -> None:
+    path = tmp_path / "preset.yaml"
+    path.write_text(text)
+    with pytest.raises(ConfigError) as caught:
+        load_preset(path)
+    line = str(caught.value)
+    assert line.startswith(f"{path}: ")
+    assert message in line
+    assert "\n" not in line
+
+
+def test_unknown_and_missing_presets() -> None:
+    with pytest.raises(NotFoundError, match="unknown preset 'mni'; did you mean 'mini'"):
+        load_preset("mni")
+    with pytest.raises(ConfigError, match=r"none\.yaml: preset file cannot be read"):
+        load_preset("none.yaml")
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"pairs": 0}, "--sequences: input should be greater than or equal to 1, not 0"),
+        ({"frames": 1}, "--frames: input should be greater than or equal to 2, not 1"),
+        ({"seed": -1}, "--seed: input should be"),
+        ({"corruption": "storng"}, "--corruption: unknown corruption level 'storng'; did you mean 'strong'?"),
+    ],
+)
+def test_a_wrong_option_is_named(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        load_preset("mini", **options)
+    assert str(caught.value).startswith(message)
+
+
+# The whole job
+
+
+def test_a_generated_dataset_is_sound_and_complete(made: Path, instrument: Instrument) -> None:
+    assert validate(made) == []
+    dataset = Dataset.open(made)
+    assert [sequence.speed for sequence in dataset.sequences] == ["nominal", "fast"]
+    sequence = dataset.sequences[1]
+    evaluator = SilhouetteEvaluator([dataset.instrument("large_needle_driver")], SMALL)
+    for arm in sequence.arms:
+        states, readings = sequence.states(arm), sequence.readings(arm)
+        assert states is not None
+        assert readings is not None
+        assert np.abs(readings - states[:, JOINTS]).max() < 0.15
+        assert 0 < np.abs(readings - states[:, JOINTS]).min()
+        tips = SMALL.project(instrument.tips_cam(states))
+        assert np.abs(np.nanmean(sequence.keypoints(arm), axis=1) - tips.mean(axis=1)).max() < 20
+        for frame in range(sequence.frames):
+            clean = sequence.clean_mask(arm, frame)
+            assert np.count_nonzero(clean != evaluator.mask(states[frame])) <= 1
+            assert mask_error(clean, sequence.mask(arm, frame)) < 0.7
+    assert np.array_equal(
+        sequence.clean_mask("both", 2), sequence.clean_mask("left", 2) | sequence.clean_mask("right", 2)
+    )
+    assert dataset.manifest.seed == 0
+    assert dataset.manifest.configuration["preset"] == FEW.model_dump(mode="json")
+
+
+def test_same_bytes_again_and_other_bytes_for_another_seed(made: Path, tmp_path: Path) -> None:
+    generate(plan_dataset(FEW), tmp_path / "again")
+    assert contents(tmp_path / "again") == contents(made)
+    generate(plan_dataset(FEW.model_copy(update={"seed": 1})), tmp_path / "other")
+    other = contents(tmp_path / "other")
+    same = [path for path, data in contents(made).items() if path.startswith("truth/") and data == other[path]]
+    assert same == []
+
+
+def test_two_jobs_write_what_one_writes(tmp_path: Path) -> None:
+    preset = FEW.model_copy(update={"pairs": 1, "frames": 22, "camera": SMALL})
+    done: list[float] = []
+    generate(plan_dataset(preset), tmp_path / "one", jobs=1)
+    generate(plan_dataset(preset), tmp_path / "two", jobs=2, progress=done.append)
+    assert contents(tmp_path / "one") == contents(tmp_path / "two")
+    assert sum(done) == 22
+
+
+def test_killed_and_started_again_gives_the_same_bytes(tmp_path: Path) -> None:
+    text = f"name: few\npairs: 1\nframes: 30\ncamera: {SMALL.model_dump_json(exclude={'distortion'})}\n"
+    (tmp_path / "preset.yaml").write_text(text)
+    program = (
+        "import sys; from pathlib import Path; "
+        "from surgbench.generators.generate import generate, plan_dataset; "
+        "from surgbench.generators.presets import load_preset; "
+        "generate(plan_dataset(load_preset(Path(sys.argv[1]))), Path(sys.argv[2]))"
+    )
+    killed = tmp_path / "killed"
+    process = subprocess.Popen([sys.executable, "-c", program, str(tmp_path / "preset.yaml"), str(killed)])
+    deadline = time.monotonic() + 60
+    while len(list(killed.rglob("*.png"))) < 20 and time.monotonic() < deadline and process.poll() is None:
+        time.sleep(0.005)
+    os.kill(process.pid, signal.SIGKILL)
+    process.wait()
+    assert not (killed / "dataset.json").exists()
+    with pytest.raises(DatasetError, match="not complete; run the same"):
+        Dataset.open(killed)
+    # What a kill in the middle of a write, and a power cut, leave behind.
+    stray = killed / "truth/000/masks/left/000001.png.1.partial"
+    stray.write_bytes(b"half")
+    empty = killed / "sequences/000/observed/left/000000.png"
+    empty.write_bytes(b"")
+
+    plan = plan_dataset(load_preset(tmp_path / "preset.yaml"))
+    said: list[str] = []
+    assert generate(plan, killed, say=said.append)
+    assert "are there already" in said[0]
+    assert generate(plan, tmp_path / "undisturbed")
+    assert contents(killed) == contents(tmp_path / "undisturbed")
+    assert validate(killed) == []
+
+
+def test_a_crash_after_some_frames_is_resumed_without_rendering_them_again(
+    made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rendered: list[str] = []
+    write = module.write_atomic
+
+    def failing(path: Path, data: bytes) -> None:
+        rendered.append(path.name)
+        if len([name for name in rendered if name.endswith(".png")]) > 15:
+            raise RuntimeError("crash")
+        write(path, data)
+
+    monkeypatch.setattr(module, "write_atomic", failing)
+    with pytest.raises(RuntimeError, match="crash"):
+        generate(plan_dataset(FEW), tmp_path / "out")
+    rendered.clear()
+    monkeypatch.setattr(module, "write_atomic", lambda path, data: (rendered.append(path.name), write(path, data)))
+    assert generate(plan_dataset(FEW), tmp_path / "out")
+    # 36 masks, of which two whole frames of six were there.
+    assert len([name for name in rendered if name.endswith(".png")]) == 24
+    assert contents(tmp_path / "out") == contents(made)
+
+
+def test_complete_already(made: Path, tmp_path: Path) -> None:
+    before = contents(made)
+    assert generate(plan_dataset(FEW), made) is False
+    # Killed between the manifest and the marker's removal.
+    (made / "generating.json").write_text("{}")
+    assert generate(plan_dataset(FEW), made) is False
+    assert contents(made) == before
+
+
+def refused(plan: Preset, out: Path) -> str:
+    before = contents(out) if out.is_dir() else None
+    with pytest.raises(SurgbenchError) as caught:
+        generate(plan_dataset(plan), out)
+    assert (contents(out) if out.is_dir() else None) == before
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+def test_a_folder_that_holds_something_else_is_left_alone(made: Path, tmp_path: Path) -> None:
+    other = FEW.model_copy(update={"seed": 9})
+    (tmp_path / "photos").mkdir()
+    (tmp_path / "photos" / "cat.jpg").write_bytes(b"cat")
+    assert refused(FEW, tmp_path / "photos").endswith(
+        "holds something else ('cat.jpg'); --out needs a new or empty folder"
+    )
+    assert "is a file" in refused(FEW, tmp_path / "photos" / "cat.jpg")
+    assert "holds another dataset ('few', other settings)" in refused(other, made)
+    part = tmp_path / "part"
+    shutil.copytree(made, part)
+    (part / "dataset.json").unlink()
+    plan = plan_dataset(FEW)
+    (part / "generating.json").write_text(module.json.dumps(plan.marker))
+    assert "an unfinished dataset with other settings" in refused(other, part)
+    (part / "truth" / "notes.txt").write_text("mine")
+    assert "notes.txt: does not belong to this dataset" in refused(FEW, part)
+
+
+def test_two_generations_do_not_share_a_folder(tmp_path: Path) -> None:
+    with module._locked(tmp_path), pytest.raises(DatasetError, match="another 'surgbench generate' is at work here"):
+        generate(plan_dataset(FEW), tmp_path)
+
+
+def test_it_says_how_much_and_refuses_a_disk_that_lacks_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    usage = namedtuple("usage", "total used free")  # noqa: PYI024
+    monkeypatch.setattr(module.shutil, "disk_usage", lambda path: usage(10**9, 10**9 - 1000, 1000))
+    said: list[str] = []
+    out = tmp_path / "deep" / "out"
+    plan = plan_dataset(load_preset("paper"))
+    with pytest.raises(SurgbenchError, match=r"^[^\n]*the disk has 0 MB free but \d+ MB are needed[^\n]*$"):
+        generate(plan, out, say=said.append)
+    assert said[0].startswith("paper: 16 sequences of two arms, 16000 frames, about ")
+    assert not (tmp_path / "deep").exists()
+
+
+def test_the_disk_estimate_covers_what_is_written(made: Path) -> None:
+    blocks = sum(-(-path.stat().st_size // 4096) * 4096 for path in made.rglob("*") if path.is_file())
+    meshes = sum(path.stat().st_size for path in (made / "instruments").rglob("*") if path.is_file())
+    tables = 4 * 8192  # a Parquet file of three rows is all header
+    assert blocks <= plan_dataset(FEW).disk_bytes + 2 * meshes + tables
+
+
+def test_a_full_disk_in_the_middle_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write, count = module.write_atomic, 0
+
+    def full(path: Path, data: bytes) -> None:
+        nonlocal count
+        count += 1
+        if count > 15:
+            raise OSError(28, "No space left on device", str(path))
+        write(path, data)
+
+    monkeypatch.setattr(module, "write_atomic", full)
+    with pytest.raises(
+        SurgbenchError, match=r"^[^\n]*out: the disk is full; make room, then run the same command again"
+    ):
+        generate(plan_dataset(FEW), tmp_path / "out")
+
+
+def test_an_impossible_preset_leaves_no_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("surgbench.generators.trajectories.PATHS", 1)
+    workspace = FEW.workspace.model_copy(update={"clearance_m": 0.5})
+    with pytest.raises(ConfigError, match="no feasible nominal trajectory"):
+        generate(plan_dataset(FEW.model_copy(update={"workspace": workspace})), tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_unknown_instrument_is_named() -> None:
+    with pytest.raises(NotFoundError, match="unknown instrument 'large_nedle_driver'; did you mean"):
+        plan_dataset(FEW.model_copy(update={"instrument": "large_nedle_driver"}))

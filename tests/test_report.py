@@ -1,0 +1,300 @@
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import typer
+from fabricate import failed, record, write
+from rich.console import Console
+from typer.testing import CliRunner
+
+from surgbench.cli.report import report
+from surgbench.errors import DatasetError
+from surgbench.report import render
+from surgbench.report.records import read_records
+from surgbench.report.rows import ERRORS, INSTRUMENT_COLUMNS, Row, read_rows
+
+GOLDEN_CSV = """\
+row_id,task,dataset,tracker,variant,settings_hash,status,error,sequences,frames,repeats,coverage,latency_ms,\
+latency_ms_p95,latency_optimise_ms,latency_keypoints_ms,latency_masks_ms,calibration_ratio,arms,iterations,readings,\
+initialiser,keypoints,filter,views,level,rotation_error_rad,rotation_error_rad_std,rotation_error_rad_sem,\
+translation_error_m,translation_error_m_std,translation_error_m_sem,tip_error_m,tip_error_m_std,tip_error_m_sem,\
+q1_error_rad,q1_error_rad_std,q1_error_rad_sem,q2_error_rad,q2_error_rad_std,q2_error_rad_sem,q3_error_rad,\
+q3_error_rad_std,q3_error_rad_sem,mask_error,mask_error_std,mask_error_sem,mask_error_true,mask_error_true_std,\
+mask_error_true_sem,keypoint_error_px,keypoint_error_px_std,keypoint_error_px_sem,jitter,lost_frames
+cmaes,instrument,mini,cmaes,none/truth kalman,HASH,ok,,2,10,1,1.0,12.0,14.549999999999999,10.0,,2.0,,single,3,none,\
+truth,dataset,kalman,1,,0.30000000000000004,0.157797338380595,0.05,0.003,0.0015779733838059502,0.0005,0.006,\
+0.0031559467676119004,0.001,0.15000000000000002,0.0788986691902975,0.025,0.07500000000000001,0.03944933459514875,\
+0.0125,0.037500000000000006,0.019724667297574376,0.00625,0.060000000000000005,0.031559467676119,0.010000000000000002,\
+0.030000000000000002,0.0157797338380595,0.005000000000000001,3.0,1.5779733838059502,0.5,0.5,2
+stuck,instrument,mini,cmaes,none/truth kalman,HASH,failed,ValueError: step | returned (3\\,),1,0,1,0.0,,,,,,,single,3,\
+none,truth,dataset,kalman,1,,,,,,,,,,,,,,,,,,,,,,,,,,,,,,0
+"""
+
+GOLDEN_MARKDOWN = """\
+### mini, single arms
+
+| row | variant | sequences | done [%] | mask error | true mask error | rotation [rad] | translation [mm] | tips [mm] \
+| q1 [rad] | q2 [rad] | q3 [rad] | keypoints [px] | latency [ms] | p95 [ms] | status |
+| --- | --- | --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: | --- |
+| cmaes | none/truth kalman | 2 | 100 | 0.060 | 0.030 | 0.300 | 3.00 | 6.00 | 0.150 | 0.075 | 0.038 | 3.0 | 12.0 \
+| 14.5 | ok |
+| stuck | none/truth kalman | 1 | 0 | – | – | – | – | – | – | – | – | – | – | – | failed |
+
+- stuck: failed: ValueError: step \\| returned (3,)
+"""
+
+
+@pytest.fixture
+def runs(tmp_path: Path) -> Path:
+    return write(tmp_path / "runs", record(), record(unit="000-right", frames=6), failed(row_id="stuck"))
+
+
+def only(rows: list[Row]) -> Row:
+    assert len(rows) == 1
+    return rows[0]
+
+
+def test_row_has_exactly_the_columns_of_the_design(runs: Path) -> None:
+    for row in read_rows([runs]):
+        assert tuple(row) == INSTRUMENT_COLUMNS
+    assert len(INSTRUMENT_COLUMNS) == len(set(INSTRUMENT_COLUMNS)) == 18 + 8 + 9 * 3 + 2
+
+
+def test_golden_csv(runs: Path) -> None:
+    rows = read_rows([runs])
+    expected = GOLDEN_CSV.replace("ValueError: step | returned (3\\,)", '"ValueError: step | returned (3,)"')
+    for row in rows:
+        expected = expected.replace("HASH", row["settings_hash"], 1)
+    assert render.csv(rows) == expected
+
+
+def test_golden_markdown(runs: Path) -> None:
+    assert render.markdown(read_rows([runs])) == GOLDEN_MARKDOWN
+
+
+def test_csv_and_json_lose_nothing(runs: Path) -> None:
+    rows = read_rows([runs])
+    assert json.loads(render.json(rows)) == rows
+    for row, cells in zip(rows, csv.DictReader(io.StringIO(render.csv(rows))), strict=True):
+        for key, value in row.items():
+            if isinstance(value, float):
+                assert float(cells[key]) == value
+            else:
+                assert cells[key] == ("" if value is None else str(value))
+
+
+def test_mean_of_sequence_means_and_spreads(tmp_path: Path) -> None:
+    short, long = record(frames=2), record(unit="000-right", frames=8)
+    row = only(read_rows([write(tmp_path, short, long)]))
+    assert row["rotation_error_rad"] == pytest.approx((0.15 + 0.45) / 2)
+    assert row["rotation_error_rad_std"] == pytest.approx(np.std([0.1, 0.2, *np.arange(1, 9) / 10]))
+    assert row["rotation_error_rad_sem"] == pytest.approx(np.std([0.15, 0.45], ddof=1) / math.sqrt(2))
+    assert (row["sequences"], row["frames"], row["repeats"], row["coverage"]) == (2, 10, 1, 1.0)
+
+
+def test_repeats_do_not_count_as_sequences(tmp_path: Path) -> None:
+    row = only(read_rows([write(tmp_path, record(frames=2), record(frames=4, repeat=1))]))
+    assert (row["sequences"], row["repeats"], row["frames"]) == (1, 2, 6)
+    assert row["rotation_error_rad"] == pytest.approx((0.15 + 0.25) / 2)
+    assert row["rotation_error_rad_sem"] is None
+
+
+def test_latency_is_the_median_over_all_frames(tmp_path: Path) -> None:
+    row = only(read_rows([write(tmp_path, record(frames=3), record(unit="000-right", frames=50))]))
+    pooled = [*range(10, 13), *range(10, 60)]
+    assert row["latency_ms"] == np.median(pooled)
+    assert row["latency_ms_p95"] == pytest.approx(np.percentile(pooled, 95))
+    assert row["latency_keypoints_ms"] is None
+
+
+def test_without_truth_only_the_mask_error_is_left(tmp_path: Path) -> None:
+    row = only(read_rows([write(tmp_path, record(truth=False))]))
+    assert row["mask_error"] == pytest.approx(0.05)
+    assert [error for error in ERRORS if row[error] is not None] == ["mask_error"]
+    assert row["jitter"] == 0.5
+    assert row["lost_frames"] == 1
+    text = render.table([row], width=80)
+    assert "rot." not in text
+    assert "0.050" in text
+
+
+def test_null_values_of_single_frames_are_left_out(tmp_path: Path) -> None:
+    content = record(frames=3)
+    content["errors"]["keypoint_error_px"] = [[1.0], [None], [3.0]]
+    assert only(read_rows([write(tmp_path, content)]))["keypoint_error_px"] == 2.0
+
+
+def test_failed_record_is_a_row_with_coverage(tmp_path: Path) -> None:
+    late = {"status": "timeout", "error": "no answer in 60 s", "unit_frames": 16}
+    stopped = record(unit="000-right", frames=4) | late
+    row = only(read_rows([write(tmp_path, record(frames=4), stopped)]))
+    assert (row["status"], row["error"]) == ("timeout", "no answer in 60 s")
+    assert row["coverage"] == 8 / 20
+    assert row["mask_error"] is not None
+    nothing = only(read_rows([write(tmp_path / "b", failed())]))
+    assert (nothing["status"], nothing["coverage"], nothing["mask_error"]) == ("failed", 0.0, None)
+
+
+def test_folders_are_merged_and_a_run_counts_once(runs: Path, tmp_path: Path) -> None:
+    other = write(tmp_path / "other", record(), record(row_id="gd-10"))
+    rows = read_rows([runs, other])
+    assert [(row["row_id"], row["frames"]) for row in rows] == [("gd-10", 4), ("cmaes", 10), ("stuck", 0)]
+    assert read_rows([other, runs]) == rows
+    assert read_rows([runs, runs]) == read_rows([runs])
+
+
+def test_a_sound_record_replaces_a_failed_one_of_the_same_run(tmp_path: Path) -> None:
+    first, second = write(tmp_path / "a", failed()), write(tmp_path / "b", record())
+    for order in ([first, second], [second, first]):
+        assert only(read_rows(order))["status"] == "ok"
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        record(unit="000"),
+        record(dataset=("mini", "cd" * 32)),
+        record() | {"settings_hash": "0" * 16, "spec_hash": "0" * 16},
+    ],
+    ids=["arms", "dataset", "settings"],
+)
+def test_what_is_not_one_row(tmp_path: Path, other: dict[str, Any]) -> None:
+    write(tmp_path / "a", record())
+    write(tmp_path / "b", other)
+    assert len(read_rows([tmp_path])) == 2
+
+
+def test_two_datasets_of_one_name_can_be_told_apart(tmp_path: Path) -> None:
+    write(tmp_path / "a", record())
+    write(tmp_path / "b", record(dataset=("mini", "cd" * 32)))
+    assert {row["dataset"] for row in read_rows([tmp_path])} == {"mini@abababab", "mini@cdcdcdcd"}
+
+
+def test_order_of_files_does_not_matter(tmp_path: Path) -> None:
+    records = [record(row_id=name, unit=unit) for name in "cab" for unit in ("000-left", "001-left")]
+    first = read_rows([write(tmp_path / "a", *records)])
+    assert [row["row_id"] for row in first] == ["a", "b", "c"]
+    assert read_rows([write(tmp_path / "b", *reversed(records))]) == first
+
+
+def test_dual_arms_count_both(tmp_path: Path) -> None:
+    content = record(unit="000", frames=2)
+    content["errors"]["rotation_error_rad"] = [[0.1, 0.3], [0.2, 0.6]]
+    row = only(read_rows([write(tmp_path, content)]))
+    assert row["arms"] == "dual"
+    assert row["rotation_error_rad"] == pytest.approx(0.3)
+
+
+def test_other_json_files_are_not_records(runs: Path) -> None:
+    (runs / "dataset.json").write_text('{"format": "surgbench-dataset-1"}', encoding="utf-8")
+    (runs / "list.json").write_text("[1, 2]", encoding="utf-8")
+    assert len(read_records([runs])) == 3
+
+
+def test_truncated_record_is_named(runs: Path) -> None:
+    path = next(runs.rglob("000-left-r0.json"))
+    path.write_bytes(path.read_bytes()[:-100])
+    with pytest.raises(DatasetError, match="truncated") as caught:
+        read_rows([runs])
+    assert str(path) in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def _drop_settings(content: dict[str, Any]) -> None:
+    del content["settings_hash"]
+
+
+def _drop_row_id(content: dict[str, Any]) -> None:
+    del content["spec"]["row_id"]
+
+
+def _shorten_errors(content: dict[str, Any]) -> None:
+    content["errors"]["q1_error_rad"].pop()
+
+
+def _shorten_states(content: dict[str, Any]) -> None:
+    content["frames"]["state"].pop()
+
+
+def _spoil_error(content: dict[str, Any]) -> None:
+    content["errors"]["mask_error"] = ["much"]
+
+
+def _newer(content: dict[str, Any]) -> None:
+    content["format"] = "surgbench-record-9"
+
+
+@pytest.mark.parametrize(
+    ("spoil", "names"),
+    [
+        (_drop_settings, "settings_hash"),
+        (_drop_row_id, "spec.row_id"),
+        (_shorten_errors, "errors.q1_error_rad"),
+        (_shorten_states, "state"),
+        (_spoil_error, "errors.mask_error"),
+        (_newer, "surgbench-record-9"),
+    ],
+)
+def test_spoilt_record_is_named_with_its_key(tmp_path: Path, spoil: Any, names: str) -> None:
+    content = record()
+    path = write(tmp_path, content) and next(tmp_path.rglob("*.json"))
+    spoil(content)
+    path.write_text(json.dumps(content), encoding="utf-8")
+    with pytest.raises(DatasetError) as caught:
+        read_rows([tmp_path])
+    assert str(path) in str(caught.value)
+    assert names in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_folder_without_records_is_named(tmp_path: Path) -> None:
+    with pytest.raises(DatasetError, match="holds no records"):
+        read_rows([tmp_path])
+    with pytest.raises(DatasetError, match="no such folder"):
+        read_rows([tmp_path / "nowhere"])
+
+
+@pytest.mark.parametrize("width", [80, 100, 140])
+def test_table_fits_and_shows_the_numbers(runs: Path, width: int) -> None:
+    text = render.table(read_rows([runs]), width=width)
+    assert max(len(line) for line in text.splitlines()) <= width
+    for shown in ("cmaes", "0.060", "0.300", "3.00", "stuck: failed: ValueError: step | returned (3,)"):
+        assert shown in text
+    assert ("none/truth kalman" in text) == (width >= 120)
+
+
+def test_table_shows_variants_where_names_are_the_same(tmp_path: Path) -> None:
+    write(tmp_path / "a", record())
+    other = record() | {"settings_hash": "0" * 16, "spec_hash": "0" * 16, "variant": "readings"}
+    write(tmp_path / "b", other)
+    assert "readings" in render.table(read_rows([tmp_path]), width=80)
+
+
+def test_brackets_in_names_are_not_markup(tmp_path: Path) -> None:
+    console = Console(file=io.StringIO(), width=100)
+    render.print_leaderboard(read_rows([write(tmp_path, record(row_id="a[b]"))]), console)
+    assert "a[b]" in console.file.getvalue()  # type: ignore[attr-defined]
+
+
+def run_cli(*arguments: str) -> str:
+    app = typer.Typer()
+    app.command()(report)
+    result = CliRunner().invoke(app, list(arguments), catch_exceptions=False)
+    assert result.exit_code == 0, result.output
+    return result.stdout
+
+
+def test_command_writes_every_format(runs: Path, tmp_path: Path) -> None:
+    rows = read_rows([runs])
+    assert "mini, single arms" in run_cli(str(runs))
+    for name, text in (("csv", render.csv(rows)), ("markdown", render.markdown(rows)), ("json", render.json(rows))):
+        assert run_cli(str(runs), "--format", name) == text
+        assert run_cli(str(runs), "--format", name, "--out", str(tmp_path / name)) == ""
+        assert (tmp_path / name).read_text(encoding="utf-8") == text

@@ -1,0 +1,1 @@
+"""Trackers, one file each; initialisers, filters, keypoint sources and optimisers in sub-folders."""

@@ -1,0 +1,1 @@
+"""State filters: where the next frame's search begins."""

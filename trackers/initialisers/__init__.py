@@ -1,0 +1,1 @@
+"""Initialisers: where a sequence's first search begins."""

@@ -1,0 +1,1 @@
+"""Keypoint sources: where the tips of the instruments are in an image."""

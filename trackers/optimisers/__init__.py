@@ -1,0 +1,1 @@
+"""Optimisers that trackers and initialisers share: ask, evaluate, tell."""
