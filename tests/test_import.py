@@ -15,7 +15,7 @@ from surgbench.dataset.import_masks import binarise, import_masks
 from surgbench.dataset.validate import validate
 from surgbench.errors import NotFoundError, SurgbenchError
 
-CAMERA = {"width": 40, "height": 30, "fx": 60.0, "fy": 61.0, "cx": 19.0, "cy": 14.5}
+CAMERA: dict[str, Any] = {"width": 40, "height": 30, "fx": 60.0, "fy": 61.0, "cx": 19.0, "cy": 14.5}
 FRAMES = 3
 
 
@@ -160,12 +160,12 @@ def test_distorted_recordings_are_undistorted(full: Path, tmp_path: Path) -> Non
 # Everything that can be wrong
 
 
-def remove(name: str) -> Callable[[Path], None]:
+def remove(name: str) -> Callable[[Path], Any]:
     return lambda source: (source / name).unlink()
 
 
-def put(name: str, text: str) -> Callable[[Path], None]:
-    return lambda source: (source / name).write_text(text) and None
+def put(name: str, text: str) -> Callable[[Path], Any]:
+    return lambda source: (source / name).write_text(text)
 
 
 def empty_masks(source: Path) -> None:
@@ -178,12 +178,12 @@ def no_masks(source: Path) -> None:
     (source / "masks").rmdir()
 
 
-def camera_without(key: str) -> Callable[[Path], None]:
+def camera_without(key: str) -> Callable[[Path], Any]:
     return put("camera.json", json.dumps({name: value for name, value in CAMERA.items() if name != key}))
 
 
-def truncate(name: str) -> Callable[[Path], None]:
-    return lambda source: (source / name).write_bytes((source / name).read_bytes()[:-9]) and None
+def truncate(name: str) -> Callable[[Path], Any]:
+    return lambda source: (source / name).write_bytes((source / name).read_bytes()[:-9])
 
 
 @pytest.mark.parametrize(

@@ -11,8 +11,8 @@ from surgbench.instrument import Instrument, load_instrument
 from surgbench.randomness import generator
 from surgbench.state import ALPHA, ANGLES, BETA, GAMMA, JOINTS, POSITION
 
-FRAMES = 300
-SEEDS = range(3)
+FRAMES = 200
+SEEDS = range(2)
 
 
 @pytest.fixture(scope="module")
