@@ -1,0 +1,1 @@
+"""Data files: instruments, presets, suites."""

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from surgbench.geometry import FloatArray, look_at_rotation, rotation_angle, wrap_angle
 from surgbench.state import ANGLES, BETA, JOINTS, POSITION, twin
@@ -121,7 +122,7 @@ def keypoint_error(estimate_px: FloatArray, true_px: FloatArray) -> FloatArray:
     return better
 
 
-def mask_error(area_estimate: FloatArray, area_reference: FloatArray, overlap: FloatArray) -> FloatArray:
+def mask_error(area_estimate: ArrayLike, area_reference: ArrayLike, overlap: ArrayLike) -> FloatArray:
     """``1 - IoU`` of two masks from their pixel counts.
 
     Args:
@@ -132,9 +133,9 @@ def mask_error(area_estimate: FloatArray, area_reference: FloatArray, overlap: F
     Returns:
         Same shape, 0 to 1; 0 where both masks are empty.
     """
-    overlap = np.asarray(overlap, dtype=np.float64)
-    union = np.asarray(area_estimate, dtype=np.float64) + np.asarray(area_reference, dtype=np.float64) - overlap
-    error: FloatArray = np.where(union > 0, 1.0 - overlap / np.where(union > 0, union, 1.0), 0.0)
+    common = np.asarray(overlap, dtype=np.float64)
+    union = np.asarray(area_estimate, dtype=np.float64) + np.asarray(area_reference, dtype=np.float64) - common
+    error: FloatArray = np.where(union > 0, 1.0 - common / np.where(union > 0, union, 1.0), 0.0)
     return error
 
 

@@ -16,11 +16,11 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from support import resting_state
 
+from surgbench.config import packaged_names
 from surgbench.errors import ConfigError, NotFoundError
 from surgbench.files import sha256_file
 from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument, load_instrument, save_instrument
-from surgbench.config import packaged_names
 from surgbench.instrument.meshes import edge_defects, signed_volume
 from surgbench.instrument.model import LinkMesh
 from surgbench.instrument.shapes import loft_mesh

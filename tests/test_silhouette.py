@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from support import resting_state, rigid_instrument
 
 from surgbench.camera import Camera
 from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument, load_instrument
 from surgbench.silhouette import Reference, SilhouetteEvaluator
 from surgbench.silhouette.evaluator import NEAR_M
-from support import resting_state, rigid_instrument
 
 
 def clip_to_near(polygon: FloatArray) -> FloatArray:
@@ -54,12 +56,12 @@ def brute_force(instruments: list[Instrument], camera: Camera, state: FloatArray
     return image
 
 
-def bodies() -> dict[str, trimesh.Trimesh]:
+def bodies() -> dict[str, Any]:
     box = trimesh.creation.box((0.02, 0.03, 0.05))
     ring = trimesh.creation.torus(0.02, 0.006, major_sections=12, minor_sections=8)
     rod = trimesh.creation.cylinder(0.004, 0.3, sections=9)
     crossing = trimesh.util.concatenate([box, rod, trimesh.creation.icosphere(1, 0.018)])
-    touching = trimesh.util.concatenate([box, box.copy().apply_translation((0.02, 0, 0))])
+    touching: Any = trimesh.util.concatenate([box, box.copy().apply_translation((0.02, 0, 0))])
     touching.merge_vertices()
     return {"box": box, "ring": ring, "rod": rod, "crossing": crossing, "touching": touching}
 
@@ -148,7 +150,8 @@ def test_many_crossings_in_a_row_are_not_lost(small_camera: Camera) -> None:
     prongs = [trimesh.creation.box((0.0015, 0.04, 0.004)) for _ in range(24)]
     for k, prong in enumerate(prongs):
         prong.apply_translation((0.003 * (k - 12), 0, 0))
-    comb = rigid_instrument(trimesh.util.concatenate(prongs))
+    combined: Any = trimesh.util.concatenate(prongs)
+    comb = rigid_instrument(combined)
     state = np.array([0, 0, 0, 0, 0, 0.1, 0, 0, 0.0])
     evaluator = SilhouetteEvaluator([comb], small_camera)
     expected = brute_force([comb], small_camera, state)

@@ -1,0 +1,1 @@
+"""Presets: whole configurations of generated datasets."""

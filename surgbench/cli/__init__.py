@@ -45,7 +45,9 @@ def _main(
     version: Annotated[
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version and exit.")
     ] = False,
-    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks; stands before or after the command.")] = False,
+    debug: Annotated[
+        bool, typer.Option("--debug", help="Show tracebacks; stands before or after the command.")
+    ] = False,
 ) -> None:
     """Make surgical instrument tracking data, run trackers on it, and compare them."""
 

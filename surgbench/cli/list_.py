@@ -27,8 +27,7 @@ def list_names(
     }
     if what in kinds:
         for name, found in sorted(discover(kinds[what]).items()):
-            summary = getattr(found.cls, "summary", "") if found.problem is None else f"cannot be loaded: {found.problem}"
-            print(f"{name:16} {summary}")
+            print(f"{name:16} {found.problem or getattr(found.cls, 'summary', '')}")
             for option, default, meaning in describe(found):
                 print(f"  {name}.{option} = {default}" + (f"   {meaning}" if meaning else ""))
         return

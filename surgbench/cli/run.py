@@ -19,9 +19,7 @@ def run(
     suite: Annotated[
         str | None, typer.Option(metavar="NAME|FILE.yaml", help="Rows from a suite instead of --tracker.")
     ] = None,
-    no_joints: Annotated[
-        bool, typer.Option("--no-joints", help="Without joint readings, as is the default.")
-    ] = False,
+    no_joints: Annotated[bool, typer.Option("--no-joints", help="Without joint readings, as is the default.")] = False,
     joints: Annotated[
         bool, typer.Option("--joints", help="With the dataset's own readings: a recording's, or noisy ones.")
     ] = False,
@@ -61,8 +59,9 @@ def run(
     from rich.console import Console
 
     from surgbench.dataset.reader import Dataset
+    from surgbench.report.records import read_records
     from surgbench.report.render import print_leaderboard
-    from surgbench.report.rows import read_rows
+    from surgbench.report.rows import derive_rows
     from surgbench.suite.plan import complete
     from surgbench.suite.plan import jobs as plan_jobs
     from surgbench.suite.run import check_output, make_plan
@@ -105,7 +104,8 @@ def run(
     for record in failures:
         spec = record["spec"]
         print(f"{spec['row_id']} {spec['unit']}: {record['status']}: {record['error']}", file=sys.stderr)
-    rows = [r for r in read_rows([out]) if r["settings_hash"] in {job.settings.hash for job in planned}]
+    # The folder may hold other datasets' and other settings' records: show what was asked for.
+    rows = derive_rows([record for record in read_records([out]) if record.spec_hash in {job.hash for job in planned}])
     print_leaderboard(rows, Console())
     print(out)
 

@@ -156,9 +156,7 @@ class SilhouetteEvaluator:
     def _scratch(self, capacity: int) -> _Work:
         vertices, faces, height = len(self._mesh.x), len(self._mesh.faces), self.camera.height
         u, v, z = np.empty((3, vertices))
-        return _Work(
-            u, v, z, np.zeros(faces, bool), np.empty((height, capacity), np.int32), np.zeros(height, np.int32)
-        )
+        return _Work(u, v, z, np.zeros(faces, bool), np.empty((height, capacity), np.int32), np.zeros(height, np.int32))
 
     def _states(self, states: ArrayLike, ndim: int) -> FloatArray:
         array = np.ascontiguousarray(states, dtype=np.float64)
@@ -198,7 +196,8 @@ class SilhouetteEvaluator:
         batch = self._states(states, 2)
         if sums.prefix.shape != (self.camera.height, self.camera.width + 1):
             height, width = sums.prefix.shape
-            raise ValueError(f"the image is {width - 1} x {height}, the camera {self.camera.width} x {self.camera.height}")
+            expected = f"{self.camera.width} x {self.camera.height}"
+            raise ValueError(f"the image is {width - 1} x {height}, the camera {expected}")
         result = np.empty(len(batch), np.int64), np.empty(len(batch), np.int64)
         while True:
             most = kernel.score(batch, self._links, self._mesh, self._lens, self._work, sums.prefix, *result)

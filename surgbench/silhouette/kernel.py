@@ -201,9 +201,7 @@ def _sort_row(crossings: Any, n: int) -> None:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def score(
-    states: Any, links: Any, mesh: Any, lens: Any, work: Any, prefix: Any, area: Any, total: Any
-) -> int:
+def score(states: Any, links: Any, mesh: Any, lens: Any, work: Any, prefix: Any, area: Any, total: Any) -> int:
     """Area of each state's silhouette and the sum of an image over it.
 
     Args:

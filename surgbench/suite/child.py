@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import subprocess
 import sys
 from multiprocessing.connection import Pipe
 from typing import Any
 
-
 # One core for every tracker: latencies compare, and results do not depend on the machine's cores.
-ONE_THREAD = {
-    name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
-}
+ONE_THREAD = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")}
 
 
 class ChildProblemError(Exception):
@@ -64,10 +62,8 @@ class Child:
 
     def send(self, *message: Any) -> None:
         """Tell the child something; a dead child is noticed at the next :meth:`receive`."""
-        try:
+        with contextlib.suppress(BrokenPipeError, ConnectionResetError):  # receive() says how it died
             self._connection.send(message)
-        except (BrokenPipeError, ConnectionResetError):
-            pass  # receive() says how it died
 
     def receive(self) -> tuple[Any, ...]:
         """The child's next message.
@@ -86,5 +82,3 @@ class Child:
         if message[0] == "problem":
             raise ChildProblemError(*message[1:])
         return message
-
-

@@ -152,8 +152,8 @@ def execute(
             mask = data.sequence.mask(job.unit.kind, frame)
             observation = data.observation(frame, mask)
             if frame == 0:
-                needs_truth = data.truth is not None and job.settings.initialiser.name == "truth"
-                truth = data.truth[0].reshape(-1) if needs_truth and data.truth is not None else None
+                shown = data.truth is not None and job.settings.initialiser.needs_truth
+                truth = data.truth[0].reshape(-1) if shown and data.truth is not None else None
                 child.send("first", observation, truth)
                 while (message := child.receive())[0] == "progress":
                     initialising(message[1])
@@ -176,6 +176,7 @@ def execute(
         "settings_hash": job.settings.hash,
         "variant": job.settings.variant,
         "spec": job.spec(),
+        "references": job.settings.references,
         "status": status,
         "error": error,
         "traceback": trace,
@@ -191,9 +192,10 @@ def execute(
 def _mask_errors(
     evaluator: SilhouetteEvaluator, state: FloatArray, mask: Mask, clean: Mask | None
 ) -> tuple[float, float | None]:
-    def error(reference: Mask) -> float:
-        prepared = Reference(reference)
-        return float(1.0 - evaluator.score(state[None], prepared).iou(prepared)[0])
+    def error(mask: Mask) -> float:
+        reference = Reference(mask)
+        score = evaluator.score(state[None], reference)
+        return float(metrics.mask_error(score.area[0], reference.area, score.overlap[0]))
 
     return error(mask), None if clean is None else error(clean)
 
@@ -231,5 +233,3 @@ def _finite(values: FloatArray) -> list[Any]:
     nested = values.astype(object)
     nested[~np.isfinite(values)] = None
     return list(nested.tolist())
-
-

@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from surgbench.dataset.reader import Dataset, Unit
 from surgbench.errors import ConfigError
 from surgbench.files import canonical_json, sha256_text
-from surgbench.registry import Found, Kind, configure, find
+from surgbench.registry import Kind, configure, find
 
 Readings = Literal["none", "noisy", "true"]
 HASH_DIGITS = 16
@@ -67,6 +67,7 @@ class Plug:
     source: str
     options: dict[str, Any]
     changed: dict[str, Any]
+    needs_truth: bool
 
     def spec(self) -> dict[str, Any]:
         """Its part of a record's specification."""
@@ -98,6 +99,11 @@ class Settings:
             "seed": self.protocol.seed,
             "timeout_s": self.protocol.timeout_s,
         }
+
+    @property
+    def references(self) -> dict[str, str]:
+        """By what each plug-in was asked for: a name, or a file that may lie elsewhere tomorrow."""
+        return {plug.kind: plug.reference for plug in (self.tracker, self.initialiser, self.filter, self.keypoints)}
 
     @property
     def hash(self) -> str:
@@ -162,13 +168,14 @@ def _flat(options: dict[str, Any], prefix: str = "") -> list[tuple[str, Any]]:
     return pairs
 
 
-def _plug(kind: Kind, reference: str, options: dict[str, dict[str, Any]]) -> tuple[Plug, Found]:
+def _plug(kind: Kind, reference: str, options: dict[str, dict[str, Any]]) -> Plug:
     found = find(kind, reference)
     given = options.get(found.name, {})
     config = configure(found, given)
     effective = {} if config is None else config.model_dump(mode="json")
     changed = {} if config is None else config.model_dump(mode="json", exclude_defaults=True)
-    return Plug(kind, reference, found.name, f"{found.source}@{found.hash}", effective, changed), found
+    needs_truth = bool(getattr(found.cls, "needs_truth", False))
+    return Plug(kind, reference, found.name, f"{found.source}@{found.hash}", effective, changed, needs_truth)
 
 
 def complete(row: Row, protocol: Protocol, dataset: Dataset) -> Settings:
@@ -180,15 +187,15 @@ def complete(row: Row, protocol: Protocol, dataset: Dataset) -> Settings:
     """
     has_truth = all(sequence.entry.truth for sequence in dataset.sequences)
     has_readings = all(sequence.entry.readings for sequence in dataset.sequences)
-    tracker, _ = _plug("tracker", row.tracker, row.options)
-    initialiser, found = _plug("initialiser", row.initialiser or ("truth" if has_truth else "random"), row.options)
-    state_filter, _ = _plug("filter", row.filter, row.options)
-    keypoints, _ = _plug("keypoints", row.keypoints, row.options)
+    tracker = _plug("tracker", row.tracker, row.options)
+    initialiser = _plug("initialiser", row.initialiser or ("truth" if has_truth else "random"), row.options)
+    state_filter = _plug("filter", row.filter, row.options)
+    keypoints = _plug("keypoints", row.keypoints, row.options)
     names = [plug.name for plug in (tracker, initialiser, state_filter, keypoints)]
     for name in row.options:
         if name not in names:
             raise ConfigError(f"--set {name}.…: '{name}' takes no part in this run (taking part: {', '.join(names)})")
-    if getattr(found.cls, "needs_truth", False) and not has_truth:
+    if initialiser.needs_truth and not has_truth:
         raise ConfigError(
             f"initialiser '{initialiser.name}' needs ground truth, which '{dataset.name}' has not; "
             "use --initialiser random"

@@ -45,9 +45,7 @@ def from_command_line(
         rows = [Row(tracker=tracker, options=options, **given) for tracker in trackers]
         kept: dict[str, Any] = {}
     else:
-        rows = [
-            one.model_copy(update={**given, "options": _merged(one.options, options)}) for one in base.rows
-        ]
+        rows = [one.model_copy(update={**given, "options": _merged(one.options, options)}) for one in base.rows]
         kept = base.model_dump(exclude={"rows"})
     changed = {key: value for key, value in protocol.items() if value is not None}
     return Suite(rows=tuple(rows), **{**kept, **changed})
@@ -84,5 +82,3 @@ def _merged(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
         both = isinstance(value, dict) and isinstance(merged.get(key), dict)
         merged[key] = _merged(merged[key], value) if both else value
     return merged
-
-

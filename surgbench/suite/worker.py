@@ -101,21 +101,27 @@ class Loop:
     def initialise(
         self, observation: Observation, truth: FloatArray | None, progress: Callable[[float], None]
     ) -> FloatArray:
-        """State of the first frame by the initialiser; then warms up a throw-away tracker and resets all."""
+        """State of the first frame by the initialiser, ``(9 * arms,)``, joints within their limits."""
         setup, scene = self._setup, self._scene
         self._keypoints.reset(scene)
         observation = self._with_keypoints(observation)[0]
         initialiser = self._make(setup.initialiser)
         state = initialiser.initialise(scene, observation, generator(**setup.initialiser_axes), truth, progress)
-        state = clip_joints(check_state(state, self._size, f"initialiser '{setup.initialiser.name}'"), scene.limits[0])
+        return clip_joints(check_state(state, self._size, f"initialiser '{setup.initialiser.name}'"), scene.limits[0])
+
+    def begin(self, observation: Observation, state: FloatArray) -> None:
+        """Start at the first frame's state: warm up on a throw-away tracker, then reset everything."""
+        setup, scene = self._setup, self._scene
+        self._keypoints.reset(scene)
+        observation = self._with_keypoints(observation)[0]
         # Compilation and caches belong to nobody's latency.
         warm = self._make(setup.tracker)
         warm.reset(scene, state.copy(), generator(**setup.tracker_axes))
         warm.step(replace(observation, start=state.copy()))
         self._tracker.reset(scene, state.copy(), generator(**setup.tracker_axes))
         self._filter.reset(scene, state.copy())
+        self._keypoints.reset(scene)
         self._first = state
-        return state
 
     def step(self, observation: Observation, trace: Trace | None = None) -> Answer:
         """One frame. ``observation.start`` is filled in here."""
@@ -153,7 +159,10 @@ class Loop:
 
 
 def serve(connection: Connection) -> None:
-    """Answer the parent's messages until it hangs up: ("setup", Setup), ("first", observation, truth), ("step", observation)."""
+    """Answer the parent's messages until it hangs up.
+
+    They are ``("setup", Setup)``, ``("first", observation, truth)`` and ``("step", observation)``.
+    """
     loop: Loop | None = None
     while True:
         try:
@@ -170,7 +179,9 @@ def serve(connection: Connection) -> None:
                 begin = time.perf_counter()
                 observation, truth = content
                 state = loop.initialise(observation, truth, lambda fraction: connection.send(("progress", fraction)))
-                connection.send(("initialised", state, time.perf_counter() - begin))
+                elapsed_s = time.perf_counter() - begin
+                loop.begin(observation, state)
+                connection.send(("initialised", state, elapsed_s))
             else:
                 connection.send(("answer", loop.step(*content)))
         except Exception as error:  # whatever the plug-in raised is the run's result

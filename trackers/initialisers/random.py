@@ -104,7 +104,7 @@ class RandomInitialiser(Plugin):
 
         def evaluate(states: FloatArray) -> FloatArray:
             nonlocal done
-            losses = objective(states)[0]
+            losses: FloatArray = objective(states)[0]
             done += len(states)
             progress(min(done / work, 1.0))
             return losses

@@ -110,7 +110,6 @@ def _cholesky(covariance: FloatArray) -> FloatArray:
     scale = float(np.trace(covariance)) / len(covariance)
     while True:
         try:
-            factor: FloatArray = np.linalg.cholesky(covariance + jitter * np.eye(len(covariance)))
-            return factor
+            return np.asarray(np.linalg.cholesky(covariance + jitter * np.eye(len(covariance))), dtype=np.float64)
         except np.linalg.LinAlgError:
             jitter = max(10 * jitter, 1e-12 * scale)

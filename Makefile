@@ -1,0 +1,49 @@
+# Two commands: `make demo` and `make test`. Both set up .venv from the pinned constraints first.
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+SETUP := $(VENV)/.setup-done
+DEMO := demo
+# The package mirrors of some machines print warnings about themselves; ours is the outcome.
+PIP := $(BIN)/python -m pip install --disable-pip-version-check -q -c constraints.txt
+
+.PHONY: demo test lint types unit wheel-test setup clean
+
+demo: $(SETUP)
+	$(BIN)/surgbench generate mini --out $(DEMO)/mini
+	$(BIN)/surgbench run --dataset $(DEMO)/mini --suite demo --out $(DEMO)/runs
+	$(BIN)/surgbench report $(DEMO)/runs --format markdown --out $(DEMO)/leaderboard.md
+	$(BIN)/surgbench video $(DEMO)/runs --row cmaes --samples --out $(DEMO)/pictures
+	@echo "overlay picture: $(DEMO)/pictures/000-left.png   table: $(DEMO)/leaderboard.md"
+
+test: lint types unit wheel-test
+
+lint: $(SETUP)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+types: $(SETUP)
+	$(BIN)/mypy
+
+unit: $(SETUP)
+	$(BIN)/python -m pytest -q
+
+# The only check that the wheel holds every file: install it elsewhere and run the tests from another folder.
+wheel-test: $(SETUP)
+	rm -rf build/wheel-test && mkdir -p build/wheel-test/elsewhere
+	$(BIN)/python -m build -q --wheel --no-isolation --outdir build/wheel-test .
+	$(BIN)/python -m pip install --disable-pip-version-check -q --no-deps --target build/wheel-test/site build/wheel-test/*.whl
+	cd build/wheel-test/elsewhere && PYTHONPATH=../site SURGBENCH_EXPECT_SITE="$(CURDIR)/build/wheel-test/site" \
+		../../../$(BIN)/python -m pytest -q -c ../../../pyproject.toml --rootdir ../../.. ../../../tests
+
+setup: $(SETUP)
+
+$(SETUP): pyproject.toml constraints.txt tools/system-libraries.sh
+	sh tools/system-libraries.sh
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(PIP) -e '.[dev]'
+	touch $@
+
+clean:
+	rm -rf build $(DEMO)

@@ -1,0 +1,68 @@
+"""The loss of eq. 5, 6 and 8, worked out by hand on small cases."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from support import observe, resting_state, scene_of
+from surgbench.camera import Camera
+from surgbench.objective import LossWeights, Objective, keypoint_loss
+from surgbench.silhouette import SilhouetteEvaluator
+
+OBSERVED = np.array([[100.0, 50.0], [110.0, 50.0]])
+
+
+def test_keypoints_within_the_tolerance_cost_nothing() -> None:
+    assert keypoint_loss(OBSERVED, OBSERVED[None] + 5.0, 10.0)[0] == 0.0
+
+
+def test_keypoint_loss_is_eq_8() -> None:
+    """Both tips and their centre 30 px away, 10 px free: three times 20."""
+    projected = OBSERVED + np.array([18.0, 24.0])
+    assert keypoint_loss(OBSERVED, projected, 10.0) == pytest.approx(60.0)
+
+
+def test_the_better_assignment_counts() -> None:
+    assert keypoint_loss(OBSERVED, OBSERVED[::-1], 0.0) == 0.0
+
+
+def test_a_tip_behind_the_camera_is_infinitely_bad() -> None:
+    assert keypoint_loss(OBSERVED, np.full((2, 2), np.nan), 10.0) == np.inf
+
+
+def test_rendering_loss_is_eq_6(small_camera: Camera) -> None:
+    scene = scene_of(small_camera)
+    evaluator = SilhouetteEvaluator(scene.instruments, small_camera)
+    target, other = resting_state(), resting_state(0.15)
+    S, M = evaluator.mask(other), evaluator.mask(target)
+    objective = Objective(scene, LossWeights(appearance=1e-6, keypoints=0.0))
+    objective.observe(observe(scene, target))
+    losses, overlaps = objective(np.stack([target, other]))
+    pixels = small_camera.width * small_camera.height
+    squared = np.sum((S.astype(int) - M.astype(int)) ** 2)
+    appearance = abs(int(S.sum()) - int(M.sum()))
+    assert losses[0] == 0.0
+    assert losses[1] == pytest.approx(squared + 1e-6 * pixels * appearance)
+    assert overlaps[1] == pytest.approx((S & M).sum() / (S | M).sum())
+
+
+def test_keypoints_weigh_where_they_are_seen(small_camera: Camera) -> None:
+    scene = scene_of(small_camera)
+    state = resting_state()
+    observation = observe(scene, state)
+    far = replace(observation, views=(replace(observation.views[0], keypoints=(np.zeros((2, 2)),)),))
+    weights = LossWeights(keypoint_tolerance_px=2.0)
+    objective = Objective(scene, weights)
+    objective.observe(far)
+    tips = small_camera.project(scene.instruments[0].tips_cam(state))
+    expected = weights.keypoints * small_camera.width * small_camera.height * keypoint_loss(np.zeros((2, 2)), tips, 2.0)
+    assert objective(state[None])[0][0] == pytest.approx(float(expected))
+    assert expected > 0
+
+
+def test_scoring_before_a_frame_is_an_error(small_camera: Camera) -> None:
+    with pytest.raises(RuntimeError, match="observe a frame"):
+        Objective(scene_of(small_camera), LossWeights())(resting_state()[None])
