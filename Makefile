@@ -31,7 +31,7 @@ unit: $(SETUP)
 
 # The only check that the wheel holds every file: install it elsewhere and run the tests from another folder.
 wheel-test: $(SETUP)
-	rm -rf build/wheel-test && mkdir -p build/wheel-test/elsewhere
+	rm -rf build && mkdir -p build/wheel-test/elsewhere
 	$(BIN)/python -m build -q --wheel --no-isolation --outdir build/wheel-test .
 	$(BIN)/python -m pip install --disable-pip-version-check -q --no-deps --target build/wheel-test/site build/wheel-test/*.whl
 	cd build/wheel-test/elsewhere && PYTHONPATH=../site SURGBENCH_EXPECT_SITE="$(CURDIR)/build/wheel-test/site" \

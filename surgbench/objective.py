@@ -19,7 +19,7 @@ class LossWeights(BaseModel):
     """Weights of the loss, relative to the number N of the image's pixels.
 
     So they mean the same at any resolution; the defaults are those of the paper's released code, whose loss
-    is the mean, not the sum, over pixels (docs/objective.md).
+    is the mean, not the sum, over pixels.
 
     Attributes:
         appearance: lambda_app / N.
@@ -29,9 +29,9 @@ class LossWeights(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    appearance: Weight = 1e-6
-    keypoints: Weight = 5e-4
-    keypoint_tolerance_px: Weight = 10.0
+    appearance: Annotated[Weight, Field(description="lambda_app of eq. 6, per pixel of the image")] = 1e-6
+    keypoints: Annotated[Weight, Field(description="lambda_kpts of eq. 5, per pixel of the image")] = 5e-4
+    keypoint_tolerance_px: Annotated[Weight, Field(description="tau of eq. 8")] = 10.0
 
 
 def keypoint_loss(observed_px: FloatArray, projected_px: FloatArray, tolerance_px: float) -> FloatArray:

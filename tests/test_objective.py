@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-
 from support import observe, resting_state, scene_of
+
 from surgbench.camera import Camera
 from surgbench.objective import LossWeights, Objective, keypoint_loss
 from surgbench.silhouette import SilhouetteEvaluator

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
-
 from support import resting_state
+
 from surgbench.camera import Camera
 from surgbench.geometry import FloatArray, look_at_angles, look_at_rotation, rotation_angle, wrap_angle
 from surgbench.instrument import load_instrument

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy import stats
-
 from support import observe, resting_state, scene_of
+
 from surgbench.camera import Camera
 from surgbench.contract import Trace
 from surgbench.errors import SurgbenchError
@@ -151,7 +151,9 @@ def test_fast_motion_gets_larger_velocity_noise(small_camera: Camera) -> None:
 def follow(camera: Camera, joints: bool, seed: int = 0) -> tuple[FloatArray, FloatArray]:
     """States and estimates of 12 frames of a moving instrument."""
     scene = scene_of(camera)
-    truth = resting_state() + np.linspace(0, 1, 12)[:, None] * np.array([0.05, 0.1, 0.05, 4e-3, 3e-3, 2e-3, 0.2, 0.1, 0])
+    truth = resting_state() + np.linspace(0, 1, 12)[:, None] * np.array(
+        [0.05, 0.1, 0.05, 4e-3, 3e-3, 2e-3, 0.2, 0.1, 0]
+    )
     tracker = CmaesTracker()
     tracker.reset(scene, truth[0], np.random.default_rng(seed))
     estimates = [truth[0]]
@@ -221,7 +223,7 @@ def test_trace_holds_the_candidates_best_first(small_camera: Camera) -> None:
     estimate = tracker.step(observe(scene, resting_state()))
     assert [len(states) for states in tracker.trace.states] == [70, 70, 70]
     assert all((np.diff(losses) >= 0).all() for losses in tracker.trace.losses)
-    best = min(range(3), key=lambda k: tracker.trace.losses[k][0])  # type: ignore[union-attr]
+    best = min(range(3), key=lambda k: tracker.trace.losses[k][0])
     np.testing.assert_array_equal(tracker.trace.states[best][0], estimate.state)
 
 

@@ -1,6 +1,6 @@
 """Find the first state without a hint: random pose hypotheses, ranked, the best of them refined.
 
-The hypothesis space is that of Liang et al. (arXiv:2503.05953; figures in docs/initialisation.md): the shaft is
+The hypothesis space is that of Liang et al. (arXiv:2503.05953; figures as in their released code): the shaft is
 tilted by 30 to 60 degrees against the optical axis, at any roll, 0.10 to 0.17 m away. They reach the
 position in the image by gradient; here the wrist is placed over a random pixel of the mask instead. The
 shaft dominates the silhouette, so that the first ranking finds it and little else; then the roll about it and

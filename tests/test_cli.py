@@ -1,0 +1,72 @@
+"""The command line as a whole: help, versions, lists."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+from typer.testing import CliRunner
+
+import surgbench
+from surgbench.cli import app
+
+COMMANDS = [
+    ("generate",),
+    ("validate",),
+    ("import", "masks"),
+    ("run",),
+    ("report",),
+    ("video",),
+    ("list",),
+]
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=" ".join)
+def test_help_shows_an_example(command: tuple[str, ...]) -> None:
+    result = CliRunner().invoke(app, [*command, "--help"])
+    assert result.exit_code == 0
+    assert f"Example: surgbench {' '.join(command)}" in " ".join(result.output.split())
+
+
+def test_version_is_the_packages() -> None:
+    assert CliRunner().invoke(app, ["--version"]).output.strip() == f"surgbench {surgbench.__version__}"
+
+
+@pytest.mark.parametrize(
+    ("what", "name"),
+    [
+        ("trackers", "cmaes"),
+        ("initialisers", "random"),
+        ("filters", "kalman"),
+        ("keypoints", "observed"),
+        ("presets", "mini"),
+        ("suites", "demo"),
+        ("instruments", "large_needle_driver"),
+    ],
+)
+def test_lists_name_what_there_is(what: str, name: str) -> None:
+    assert any(line.split()[:1] == [name] for line in CliRunner().invoke(app, ["list", what]).output.splitlines())
+
+
+def test_listed_options_have_their_defaults() -> None:
+    output = CliRunner().invoke(app, ["list", "trackers"]).output
+    assert "cmaes.iterations = 3" in output
+    assert "cmaes.loss.keypoint_tolerance_px = 10.0" in output
+
+
+def test_help_is_quick_to_import() -> None:
+    """The help needs no renderer, compiler or table library."""
+    heavy = ("mitsuba", "numba", "pandas", "matplotlib", "torch")
+    code = f"import sys, surgbench.cli; print([m for m in {heavy} if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_wrong_command_offers_the_nearest() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", "from surgbench.cli import main; main()", "rnu"], capture_output=True, text=True
+    )
+    assert done.returncode == 2
+    assert "Did you mean 'run'?" in done.stderr
+    assert done.stderr.count("\n") == 1

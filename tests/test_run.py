@@ -1,0 +1,307 @@
+"""Runs from the command line to records: strangers' trackers, failures, resuming, determinism."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from surgbench.cli import main
+from surgbench.dataset import Dataset
+from surgbench.generators.generate import generate, plan_dataset
+from surgbench.generators.presets import load_preset
+from surgbench.suite.replay import replay_traces
+
+STRANGERS = Path(__file__).with_name("strangers.py")
+FRAMES = 4
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("data") / "mini"
+    generate(plan_dataset(load_preset("mini", frames=FRAMES)), folder)
+    return folder
+
+
+def surgbench(*arguments: object, expect: int = 0) -> None:
+    """The command as a user types it, in this process."""
+    before = sys.argv
+    sys.argv = ["surgbench", *map(str, arguments)]
+    try:
+        with pytest.raises(SystemExit) as ended:
+            main()
+    finally:
+        sys.argv = before
+    assert ended.value.code == expect
+
+
+def records(folder: Path) -> list[dict[str, Any]]:
+    return [json.loads(path.read_text()) for path in sorted(folder.rglob("*-r*.json"))]
+
+
+TIMES_AND_MACHINE = ("latency", "initialise_s", "environment")
+
+
+def without_times(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {k: without_times(v) for k, v in value.items() if not k.startswith(TIMES_AND_MACHINE)}
+    return value
+
+
+def test_a_strangers_class_runs(dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    surgbench("run", "--dataset", dataset, "--tracker", f"{STRANGERS}:Still", "--out", tmp_path)
+    found = records(tmp_path)
+    assert [record["spec"]["unit"] for record in found] == ["000-left", "000-right"]
+    for record in found:
+        assert record["status"] == "ok"
+        assert len(record["frames"]["state"]) == FRAMES
+        assert record["frames"]["state"][0] == record["frames"]["start"][0]
+        assert record["environment"]["packages"]["numpy"] == np.__version__
+        assert record["spec"]["dataset"]["sha256"] == Dataset.open(dataset).hash
+    assert "still" in capsys.readouterr().out
+
+
+def test_truth_is_the_start_and_scores_perfectly_in_the_first_frame(dataset: Path, tmp_path: Path) -> None:
+    surgbench("run", "--dataset", dataset, "--tracker", f"{STRANGERS}:Still", "--out", tmp_path, "--filter", "none")
+    for record in records(tmp_path):
+        for name in ("rotation_error_rad", "translation_error_m", "tip_error_m", "q1_error_rad", "keypoint_error_px"):
+            assert record["errors"][name][0] == [0.0]
+            assert record["errors"][name][-1][0] > 0
+        # Rendered by Mitsuba, counted by the evaluator: the true mask but for ties at edges.
+        assert record["errors"]["mask_error_true"][0] < 1e-3
+
+
+def test_observations_hold_no_truth(dataset: Path, tmp_path: Path) -> None:
+    surgbench("run", "--dataset", dataset, "--tracker", f"{STRANGERS}:Peeking", "--out", tmp_path)
+    assert all(record["status"] == "ok" for record in records(tmp_path))
+
+
+@pytest.mark.parametrize(
+    ("name", "status", "message", "frames"),
+    [
+        ("Raises", "failed", "RuntimeError: no instrument anywhere", 1),
+        ("Exits", "exited", "exited with code 3", 0),
+        ("ReturnsNan", "invalid", "NaN", 0),
+        ("ReturnsShape", "invalid", "returned shape (7,), not (9,)", 0),
+        ("ReturnsText", "invalid", "returned str", 0),
+    ],
+)
+def test_a_failing_tracker_costs_its_own_row_only(
+    dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str, status: str, message: str, frames: int
+) -> None:
+    trackers = ("--tracker", f"{STRANGERS}:{name}", "--tracker", f"{STRANGERS}:Still")
+    surgbench("run", "--dataset", dataset, *trackers, "--out", tmp_path, "--jobs", "2")
+    by_row: dict[str, list[dict[str, Any]]] = {}
+    for record in records(tmp_path):
+        by_row.setdefault(record["spec"]["tracker"]["name"], []).append(record)
+    assert all(record["status"] == "ok" for record in by_row.pop("still"))
+    ((failed, *_),) = by_row.values()
+    assert failed["status"] == status
+    assert message in failed["error"]
+    assert "\n" not in failed["error"]
+    # The warm-up on the first frame fails already, except for Raises, which fails at frame 1.
+    assert len(failed["frames"]["index"]) == frames
+    assert message in capsys.readouterr().err
+
+
+def test_a_hanging_tracker_is_given_up(dataset: Path, tmp_path: Path) -> None:
+    surgbench(
+        "run",
+        "--dataset",
+        dataset,
+        "--tracker",
+        f"{STRANGERS}:Hangs",
+        "--timeout",
+        "5",
+        "--jobs",
+        "2",
+        "--out",
+        tmp_path,
+    )
+    assert [record["status"] for record in records(tmp_path)] == ["timeout", "timeout"]
+
+
+def test_recorded_runs_are_not_run_again_and_failed_ones_are(
+    dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    flag, out = tmp_path / "flag", tmp_path / "runs"
+    monkeypatch.setenv("SURGBENCH_TEST_FLAG", str(flag))
+    command = ("run", "--dataset", dataset, "--tracker", f"{STRANGERS}:FailsOnce", "--out", out)
+    surgbench(*command)
+    assert [record["status"] for record in records(out)] == ["failed", "failed"]
+    flag.touch()
+    surgbench(*command, "--keep-failed")
+    assert [record["status"] for record in records(out)] == ["failed", "failed"]
+    surgbench(*command)
+    assert "2 failed before and are tried again" in capsys.readouterr().err
+    assert [record["status"] for record in records(out)] == ["ok", "ok"]
+    before = [path.stat().st_mtime_ns for path in out.rglob("*.json")]
+    surgbench(*command)
+    assert "2 recorded already" in capsys.readouterr().err
+    assert [path.stat().st_mtime_ns for path in out.rglob("*.json")] == before
+
+
+def test_rows_do_not_depend_on_jobs_order_or_company(dataset: Path, tmp_path: Path) -> None:
+    noisy, still = f"{STRANGERS}:Noisy", f"{STRANGERS}:Still"
+    surgbench("run", "--dataset", dataset, "--tracker", noisy, "--out", tmp_path / "a")
+    surgbench(
+        "run", "--dataset", dataset, "--tracker", still, "--tracker", noisy, "--jobs", "2", "--out", tmp_path / "b"
+    )
+    one = [without_times(record) for record in records(tmp_path / "a")]
+    other = [
+        without_times(record) for record in records(tmp_path / "b") if record["spec"]["tracker"]["name"] == "noisy"
+    ]
+    assert one == other
+    surgbench("run", "--dataset", dataset, "--tracker", noisy, "--seed", "1", "--out", tmp_path / "c")
+    assert [record["frames"]["state"] for record in records(tmp_path / "c")] != [r["frames"]["state"] for r in one]
+
+
+def test_killed_in_the_middle_then_resumed_gives_the_same_rows(dataset: Path, tmp_path: Path) -> None:
+    """kill -9 after the first record, then the same command: equal but for times and machine."""
+    arguments = ["run", "--dataset", str(dataset), "--tracker", "cmaes", "--repeats", "3"]
+    killed, whole = tmp_path / "killed", tmp_path / "whole"
+    environment = {**os.environ}
+    process = subprocess.Popen(
+        [sys.executable, "-c", "from surgbench.cli import main; main()", *arguments, "--out", str(killed)],
+        env=environment,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    deadline = time.monotonic() + 120
+    while not list(killed.rglob("*-r*.json")) and time.monotonic() < deadline:
+        time.sleep(0.02)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    assert 0 < len(records(killed)) < 6
+    surgbench(*arguments, "--out", killed)
+    surgbench(*arguments, "--out", whole)
+    assert len(records(whole)) == 6
+    assert [without_times(r) for r in records(killed)] == [without_times(r) for r in records(whole)]
+
+
+def test_readings_reach_the_tracker(dataset: Path, tmp_path: Path) -> None:
+    """The still tracker returns its start, whose joints are the readings, clipped to the limits."""
+    surgbench("run", "--dataset", dataset, "--tracker", f"{STRANGERS}:Still", "--joints", "--out", tmp_path)
+    surgbench("run", "--dataset", dataset, "--tracker", f"{STRANGERS}:Still", "--readings", "true", "--out", tmp_path)
+    sequence = Dataset.open(dataset).sequence("000")
+    limits = Dataset.open(dataset).instrument("large_needle_driver").search_limits
+    readings, states = sequence.readings("left"), sequence.states("left")
+    assert readings is not None
+    assert states is not None
+    for record in records(tmp_path):
+        if record["spec"]["unit"] == "000-left":
+            joints = np.array(record["frames"]["state"])[:, 6:]
+            expected = limits.clip(readings) if record["spec"]["readings"] == "noisy" else states[:, 6:]
+            # The first frame of a truth start keeps to its readings too.
+            np.testing.assert_allclose(joints, expected, atol=1e-12)
+
+
+def test_two_arms_run_as_a_pair(dataset: Path, tmp_path: Path) -> None:
+    surgbench("run", "--dataset", dataset, "--tracker", "cmaes", "--arms", "dual", "--out", tmp_path)
+    (record,) = records(tmp_path)
+    assert record["status"] == "ok"
+    assert np.shape(record["frames"]["state"]) == (FRAMES, 18)
+    assert np.shape(record["errors"]["rotation_error_rad"]) == (FRAMES, 2)
+
+
+def test_replay_shows_the_runs_own_samples(dataset: Path, tmp_path: Path) -> None:
+    surgbench("run", "--dataset", dataset, "--tracker", "cmaes", "--out", tmp_path)
+    record = records(tmp_path)[0]
+    traces = replay_traces(record, Dataset.open(dataset), [2])
+    assert list(traces) == [2]
+    assert len(traces[2].states) == 3
+    best = min(range(3), key=lambda k: traces[2].losses[k][0])
+    assert traces[2].states[best][0].tolist() == record["frames"]["state"][2]
+
+
+def test_dry_run_writes_nothing(dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    surgbench("run", "--dataset", dataset, "--tracker", "cmaes", "--dry-run", "--out", tmp_path / "runs")
+    assert not (tmp_path / "runs").exists()
+    captured = capsys.readouterr()
+    assert "2 runs, 8 frames" in captured.err
+    assert captured.out.count(".json") == 2
+
+
+def test_a_suite_file_runs_its_rows(dataset: Path, tmp_path: Path) -> None:
+    suite = tmp_path / "suite.yaml"
+    suite.write_text(
+        "seed: 3\n"
+        "rows:\n"
+        "  - {tracker: cmaes, row_id: cmaes-1, options: {cmaes: {iterations: 1}}}\n"
+        "  - {tracker: cmaes}\n"
+    )
+    surgbench("run", "--dataset", dataset, "--suite", suite, "--set", "cmaes.population=10", "--out", tmp_path / "runs")
+    by_row = {record["spec"]["row_id"]: record["spec"] for record in records(tmp_path / "runs")}
+    assert by_row["cmaes-1"]["tracker"]["options"]["iterations"] == 1
+    assert by_row["cmaes"]["tracker"]["options"]["iterations"] == 3
+    assert all(spec["tracker"]["options"]["population"] == 10 for spec in by_row.values())
+    assert all(spec["seed"] == 3 for spec in by_row.values())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--tracker", "cmeas"), "unknown tracker 'cmeas'; did you mean 'cmaes'?"),
+        (("--tracker", "missing.py:Tracker"), "missing.py: no such file"),
+        (("--tracker", f"{STRANGERS}:Stil"), "unknown class 'Stil'; did you mean 'Still'?"),
+        (("--tracker", f"{STRANGERS}:NoStep"), "needs a method 'step'"),
+        (("--tracker", str(STRANGERS)), "say which class"),
+        (("--tracker", "cmaes", "--set", "cmaes.iteration=5"), "did you mean 'iterations'?"),
+        (("--tracker", "cmaes", "--set", "cmaes.iterations=many"), "'iterations'"),
+        (("--tracker", "cmaes", "--set", "cmaes.loss.keypoint=0"), "did you mean 'keypoints'?"),
+        (("--tracker", "cmaes", "--set", "cmaes"), "NAME.option=value"),
+        (("--tracker", "cmaes", "--set", "xnes.iterations=3"), "takes no part in this run"),
+        (("--tracker", "cmaes", "--initialiser", "thruth"), "did you mean 'truth'?"),
+        (("--tracker", "cmaes", "--filter", "kalmann"), "did you mean 'kalman'?"),
+        (("--tracker", "cmaes", "--keypoints", "observd"), "did you mean 'observed'?"),
+        (("--tracker", "cmaes", "--joints", "--no-joints"), "contradict each other"),
+        (("--tracker", "cmaes", "--readings", "some"), "some"),
+        (("--suite", "demmo"), "did you mean 'demo'?"),
+        ((), "say what to run"),
+        (("--tracker", "cmaes", "--trackr", "x"), "--trackr"),
+    ],
+)
+def test_mistakes_are_answered_in_one_line(
+    dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], message: str
+) -> None:
+    surgbench("run", "--dataset", dataset, "--out", tmp_path / "runs", *arguments, expect=2)
+    complaint = capsys.readouterr().err
+    assert message in complaint
+    assert complaint.count("\n") == 1
+    assert not (tmp_path / "runs").exists()
+
+
+def test_wrong_folders_are_answered_in_one_line(
+    dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = ("run", "--tracker", "cmaes", "--dataset")
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "thesis.tex").touch()
+    for arguments, message in (
+        ((*run, tmp_path / "nothing"), "nothing"),
+        ((*run, dataset, "--out", dataset), "is a dataset"),
+        ((*run, dataset, "--out", tmp_path / "other"), "holds something else ('thesis.tex')"),
+        ((*run, dataset, "--out", STRANGERS), "is a file"),
+    ):
+        surgbench(*arguments, expect=2)
+        complaint = capsys.readouterr().err
+        assert message in complaint
+        assert complaint.count("\n") == 1
+
+
+def test_a_damaged_record_is_named(dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    command = ("run", "--dataset", dataset, "--tracker", f"{STRANGERS}:Still", "--out", tmp_path)
+    surgbench(*command)
+    path = next(tmp_path.rglob("000-left-r0.json"))
+    path.write_text(path.read_text()[:200])
+    capsys.readouterr()
+    surgbench(*command, expect=2)
+    assert "000-left-r0.json: damaged record" in capsys.readouterr().err
