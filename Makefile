@@ -14,7 +14,7 @@ demo: $(SETUP)
 	$(BIN)/surgbench generate mini --out $(DEMO)/mini
 	$(BIN)/surgbench run --dataset $(DEMO)/mini --suite demo --out $(DEMO)/runs
 	$(BIN)/surgbench report $(DEMO)/runs --format markdown --out $(DEMO)/leaderboard.md
-	$(BIN)/surgbench video $(DEMO)/runs --row cmaes --samples --out $(DEMO)/pictures
+	$(BIN)/surgbench video $(DEMO)/runs --frames 4 --samples --out $(DEMO)/pictures
 	@echo "overlay picture: $(DEMO)/pictures/000-left.png   table: $(DEMO)/leaderboard.md"
 
 test: lint types unit wheel-test
@@ -42,7 +42,7 @@ setup: $(SETUP)
 $(SETUP): pyproject.toml constraints.txt tools/system-libraries.sh
 	sh tools/system-libraries.sh
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(PIP) -e '.[dev]'
+	PYTHONWARNINGS=ignore $(PIP) -e '.[dev]'
 	touch $@
 
 clean:

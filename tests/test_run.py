@@ -215,9 +215,9 @@ def test_two_arms_run_as_a_pair(dataset: Path, tmp_path: Path) -> None:
 def test_replay_shows_the_runs_own_samples(dataset: Path, tmp_path: Path) -> None:
     surgbench("run", "--dataset", dataset, "--tracker", "cmaes", "--out", tmp_path)
     record = records(tmp_path)[0]
-    traces = replay_traces(record, Dataset.open(dataset), [2])
-    assert list(traces) == [2]
-    assert len(traces[2].states) == 3
+    traces = replay_traces(record, Dataset.open(dataset), [0, 2])
+    assert list(traces) == [0, 2]
+    assert [len(trace.states) for trace in traces.values()] == [3, 3]
     best = min(range(3), key=lambda k: traces[2].losses[k][0])
     assert traces[2].states[best][0].tolist() == record["frames"]["state"][2]
 

@@ -132,7 +132,7 @@ class Loop:
             split_arms(start)[:, JOINTS] = observation.joints
         start = clip_joints(start, self._scene.limits[0])
         observation, keypoints_s = self._with_keypoints(replace(observation, start=start.copy()))
-        if trace is not None and isinstance(self._tracker, Traceable):
+        if isinstance(self._tracker, Traceable):
             self._tracker.trace = trace
         before = time.perf_counter()
         answer = self._tracker.step(observation)
