@@ -17,7 +17,6 @@ from surgbench.state import STATE_SIZE
 
 # Surfaces nearer to the camera plane than this are not seen.
 NEAR_M = 1e-3
-FIRST_CAPACITY = 16
 
 
 class _Links(NamedTuple):
@@ -28,6 +27,7 @@ class _Links(NamedTuple):
     gain: FloatArray  # (L, 3)
     vertex_start: NDArray[np.int32]  # (L + 1,)
     face_start: NDArray[np.int32]  # (L + 1,)
+    edge_start: NDArray[np.int32]  # (L + 1,)
 
 
 class _Mesh(NamedTuple):
@@ -61,8 +61,16 @@ class _Work(NamedTuple):
     v: FloatArray
     z: FloatArray
     back: NDArray[np.bool_]  # (F,)
-    crossings: NDArray[np.int32]  # (H, capacity): column << 1 | direction
-    counts: NDArray[np.int32]  # (H,)
+    found: NDArray[np.int32]  # (E,) edges of a link's contour
+    edge_u: FloatArray  # (E + F,) contour edges: upper end, ...
+    edge_v: FloatArray
+    edge_slope: FloatArray  # ... columns per row, ...
+    edge_last: NDArray[np.int32]  # ... row before which it ends, ...
+    edge_entry: NDArray[np.int64]  # ... direction and index, as in the active list, ...
+    edge_next: NDArray[np.int32]  # ... and the next edge that begins at the same row, or -1
+    row_first: NDArray[np.int32]  # (H,) first edge that begins at the row, or -1
+    active: NDArray[np.int64]  # (E + F,) edges that cross the row in work, from left to right
+    spans: NDArray[np.int64]  # (E + F, 2) covered columns of the row in work, begin and end
 
 
 class RowSums:
@@ -146,17 +154,31 @@ class SilhouetteEvaluator:
         self.camera = camera
         self._lens = _Lens(camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy, near_m)
         self._links, self._mesh = _assemble(self.instruments)
-        self._work = self._scratch(FIRST_CAPACITY)
+        self._work = self._scratch()
 
     @property
     def triangles(self) -> int:
         """Number of triangles of all arms."""
         return len(self._mesh.faces)
 
-    def _scratch(self, capacity: int) -> _Work:
-        vertices, faces, height = len(self._mesh.x), len(self._mesh.faces), self.camera.height
+    def _scratch(self) -> _Work:
+        vertices, faces, edges = len(self._mesh.x), len(self._mesh.faces), len(self._mesh.edge_start)
+        # Each edge of the mesh is in the contour at most once, and each face adds at most one at the near plane.
+        most = edges + faces
         u, v, z = np.empty((3, vertices))
-        return _Work(u, v, z, np.zeros(faces, bool), np.empty((height, capacity), np.int32), np.zeros(height, np.int32))
+        edge_u, edge_v, edge_slope = np.empty((3, most))
+        return _Work(
+            u=u, v=v, z=z,
+            back=np.zeros(faces, bool),
+            found=np.empty(edges + 1, np.int32),
+            edge_u=edge_u, edge_v=edge_v, edge_slope=edge_slope,
+            edge_last=np.empty(most, np.int32),
+            edge_entry=np.empty(most, np.int64),
+            edge_next=np.empty(most, np.int32),
+            row_first=np.full(self.camera.height, -1, np.int32),
+            active=np.empty(most, np.int64),
+            spans=np.empty((most, 2), np.int64),
+        )  # fmt: skip
 
     def _states(self, states: ArrayLike, ndim: int) -> FloatArray:
         array = np.ascontiguousarray(states, dtype=np.float64)
@@ -199,21 +221,15 @@ class SilhouetteEvaluator:
             expected = f"{self.camera.width} x {self.camera.height}"
             raise ValueError(f"the image is {width - 1} x {height}, the camera {expected}")
         result = np.empty(len(batch), np.int64), np.empty(len(batch), np.int64)
-        while True:
-            most = kernel.score(batch, self._links, self._mesh, self._lens, self._work, sums.prefix, *result)
-            if most <= self._work.crossings.shape[1]:
-                return result
-            self._work = self._scratch(2 * most)
+        kernel.score(batch, self._links, self._mesh, self._lens, self._work, sums.prefix, *result)
+        return result
 
     def mask(self, state: ArrayLike) -> Mask:
         """Silhouette of one state ``(9 * arms,)`` as an ``(H, W)`` bool image."""
         one = self._states(state, 1)
-        while True:
-            image = np.zeros((self.camera.height, self.camera.width), dtype=bool)
-            most = kernel.paint(one, self._links, self._mesh, self._lens, self._work, image)
-            if most <= self._work.crossings.shape[1]:
-                return image
-            self._work = self._scratch(2 * most)
+        image = np.zeros((self.camera.height, self.camera.width), dtype=bool)
+        kernel.paint(one, self._links, self._mesh, self._lens, self._work, image)
+        return image
 
 
 def _assemble(instruments: tuple[Instrument, ...]) -> tuple[_Links, _Mesh]:
@@ -233,6 +249,11 @@ def _assemble(instruments: tuple[Instrument, ...]) -> tuple[_Links, _Mesh]:
             faces.append(link_faces + np.int32(vertex_start[-1]))
             vertex_start.append(vertex_start[-1] + len(link_vertices))
             face_start.append(face_start[-1] + len(link_faces))
+    points, triangles = np.concatenate(vertices), np.concatenate(faces).astype(np.int32)
+    start, end, along, against = _edges(triangles)
+    # Closed links share no edge, so that edges sorted by face stay together with their link.
+    order = np.argsort(along, kind="stable")
+    start, end, along, against = start[order], end[order], along[order], against[order]
     links = _Links(
         parent=np.concatenate(parents),
         arm=np.repeat(np.arange(len(instruments), dtype=np.int32), [len(i.spec.links) for i in instruments]),
@@ -241,13 +262,12 @@ def _assemble(instruments: tuple[Instrument, ...]) -> tuple[_Links, _Mesh]:
         gain=np.concatenate([i.theta_gains for i in instruments]),
         vertex_start=np.array(vertex_start, np.int32),
         face_start=np.array(face_start, np.int32),
+        edge_start=np.searchsorted(along, face_start).astype(np.int32),
     )
-    points, triangles = np.concatenate(vertices), np.concatenate(faces).astype(np.int32)
     corners = points[triangles]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     x, y, z = (np.ascontiguousarray(column) for column in points.T)
     nx, ny, nz = (np.ascontiguousarray(column) for column in normals.T)
-    start, end, along, against = _edges(triangles)
     mesh = _Mesh(
         x=x, y=y, z=z,
         vertex_link=np.repeat(np.arange(len(vertices), dtype=np.int32), [len(v) for v in vertices]),

@@ -19,8 +19,12 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-# Far outside any image, yet safely inside int32 after the shift that packs a crossing's direction.
-MAX_COLUMN = 1 << 20
+# An entry of the active list packs an edge's column, its direction and its index, so that sorting entries
+# sorts columns.
+COLUMN_SHIFT = 32
+DIRECTION_BIT = np.int64(1) << 31
+INDEX_MASK = DIRECTION_BIT - 1
+EDGE_MASK = (np.int64(1) << COLUMN_SHIFT) - 1
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
@@ -64,60 +68,65 @@ def _place_links(state: Any, links: Any, pose: Any) -> None:
             pose[link, i, 3] = m3
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _project_and_face(links: Any, mesh: Any, lens: Any, pose: Any, work: Any) -> bool:
-    """Project all vertices and mark back faces; true if a vertex lies at or before the near plane."""
-    clipped = False
-    for link in range(links.parent.shape[0]):
-        p = pose[link]
-        r00, r01, r02, tx = p[0, 0], p[0, 1], p[0, 2], p[0, 3]
-        r10, r11, r12, ty = p[1, 0], p[1, 1], p[1, 2], p[1, 3]
-        r20, r21, r22, tz = p[2, 0], p[2, 1], p[2, 2], p[2, 3]
-        nearest = np.inf
-        for i in range(links.vertex_start[link], links.vertex_start[link + 1]):
-            a, b, c = mesh.x[i], mesh.y[i], mesh.z[i]
-            z = r20 * a + r21 * b + r22 * c + tz
-            inverse = 1.0 / z
-            work.u[i] = lens.fx * (r00 * a + r01 * b + r02 * c + tx) * inverse + lens.cx
-            work.v[i] = lens.fy * (r10 * a + r11 * b + r12 * c + ty) * inverse + lens.cy
-            work.z[i] = z
-            nearest = min(nearest, z)
-        if nearest <= lens.near:
-            clipped = True
-        # Facing is decided in three dimensions, in the link's frame, from the camera centre -R't.
-        ex = -(r00 * tx + r10 * ty + r20 * tz)
-        ey = -(r01 * tx + r11 * ty + r21 * tz)
-        ez = -(r02 * tx + r12 * ty + r22 * tz)
-        for f in range(links.face_start[link], links.face_start[link + 1]):
-            work.back[f] = mesh.nx[f] * ex + mesh.ny[f] * ey + mesh.nz[f] * ez < mesh.offset[f]
-    return clipped
-
-
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _add_edge(u0: float, v0: float, u1: float, v1: float, lens: Any, work: Any) -> None:
-    """Enter the row crossings of the directed contour edge from (u0, v0) to (u1, v1)."""
-    if v0 == v1:
-        return
-    down = v1 > v0
-    if not down:
-        u0, v0, u1, v1 = u1, v1, u0, v0
-    if v1 <= 0.0 or v0 > lens.height - 1:
-        return
-    first = 0 if v0 <= 0.0 else int(np.ceil(v0))
-    last = lens.height if v1 >= lens.height else int(np.ceil(v1))  # exclusive
-    slope = (u1 - u0) / (v1 - v0)
-    capacity = work.crossings.shape[1]
-    for row in range(first, last):
-        column = np.ceil(u0 + (row - v0) * slope)
-        c = 0 if not column > 0.0 else (lens.width if column >= lens.width else int(column))
-        n = work.counts[row]
-        if n < capacity:
-            work.crossings[row, n] = (c << 1) | (1 if down else 0)
-        work.counts[row] = n + 1
+@njit(cache=True, nogil=True, error_model="numpy")
+def _project(x: Any, y: Any, z: Any, lens: Any, pose: Any, u: Any, v: Any, depth: Any) -> bool:
+    """Project the vertices of one link; true if one of them lies at or before the near plane."""
+    fx, fy, cx, cy, near = lens.fx, lens.fy, lens.cx, lens.cy, lens.near
+    r20, r21, r22, tz = pose[2, 0], pose[2, 1], pose[2, 2], pose[2, 3]
+    # Rows of K [R | t]: one division gives the pixel.
+    a0, a1, a2 = fx * pose[0, 0] + cx * r20, fx * pose[0, 1] + cx * r21, fx * pose[0, 2] + cx * r22
+    b0, b1, b2 = fy * pose[1, 0] + cy * r20, fy * pose[1, 1] + cy * r21, fy * pose[1, 2] + cy * r22
+    at, bt = fx * pose[0, 3] + cx * tz, fy * pose[1, 3] + cy * tz
+    hidden = 0
+    for i in range(x.shape[0]):
+        d = r20 * x[i] + r21 * y[i] + r22 * z[i] + tz
+        inverse = 1.0 / d
+        u[i] = (a0 * x[i] + a1 * y[i] + a2 * z[i] + at) * inverse
+        v[i] = (b0 * x[i] + b1 * y[i] + b2 * z[i] + bt) * inverse
+        depth[i] = d
+        hidden += not d > near
+    return hidden > 0
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _near_point(i: int, j: int, lens: Any, mesh: Any, links: Any, pose: Any, work: Any) -> tuple[float, float]:
+def _mark_back_faces(nx: Any, ny: Any, nz: Any, offset: Any, pose: Any, back: Any) -> None:
+    """Facing is decided in three dimensions, in the link's frame, from the camera centre ``-R't``."""
+    ex = -(pose[0, 0] * pose[0, 3] + pose[1, 0] * pose[1, 3] + pose[2, 0] * pose[2, 3])
+    ey = -(pose[0, 1] * pose[0, 3] + pose[1, 1] * pose[1, 3] + pose[2, 1] * pose[2, 3])
+    ez = -(pose[0, 2] * pose[0, 3] + pose[1, 2] * pose[1, 3] + pose[2, 2] * pose[2, 3])
+    for f in range(nx.shape[0]):
+        back[f] = nx[f] * ex + ny[f] * ey + nz[f] * ez < offset[f]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _add_edge(u0: float, v0: float, u1: float, v1: float, lens: Any, work: Any, n: int) -> int:
+    """Enter the directed contour edge from (u0, v0) to (u1, v1) as number n, if it crosses a row of the image.
+
+    Returns:
+        The number of the next edge.
+    """
+    direction = np.int64(0)
+    if v1 > v0:
+        direction = DIRECTION_BIT
+    else:
+        u0, v0, u1, v1 = u1, v1, u0, v0
+    first = int(np.ceil(min(max(v0, 0.0), float(lens.height))))
+    last = int(np.ceil(min(max(v1, 0.0), float(lens.height))))
+    if first >= last:
+        return n
+    work.edge_u[n] = u0
+    work.edge_v[n] = v0
+    work.edge_slope[n] = (u1 - u0) / (v1 - v0)
+    work.edge_last[n] = last
+    work.edge_entry[n] = direction | n
+    # Edges that begin at the same row are a linked list.
+    work.edge_next[n] = work.row_first[first]
+    work.row_first[first] = n
+    return n + 1
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _near_point(i: int, j: int, lens: Any, mesh: Any, pose: Any, work: Any) -> tuple[float, float]:
     """Pixel where the edge between vertices i and j, which lie on both sides, meets the near plane."""
     if i > j:  # the same numbers for both triangles of the edge
         i, j = j, i
@@ -132,10 +141,10 @@ def _near_point(i: int, j: int, lens: Any, mesh: Any, links: Any, pose: Any, wor
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _add_clipped(links: Any, mesh: Any, lens: Any, pose: Any, work: Any) -> None:
-    """Enter the contour of the back faces cut off at the near plane."""
+def _add_clipped(link: int, links: Any, mesh: Any, lens: Any, pose: Any, work: Any, n: int) -> int:
+    """Enter the contour of one link's back faces cut off at the near plane; returns as :func:`_add_edge`."""
     near = lens.near
-    for e in range(mesh.edge_start.shape[0]):
+    for e in range(links.edge_start[link], links.edge_start[link + 1]):
         back0, back1 = work.back[mesh.edge_face0[e]], work.back[mesh.edge_face1[e]]
         if back0 == back1:
             continue
@@ -143,65 +152,128 @@ def _add_clipped(links: Any, mesh: Any, lens: Any, pose: Any, work: Any) -> None
         if back1:
             i, j = j, i
         if work.z[i] > near and work.z[j] > near:
-            _add_edge(work.u[i], work.v[i], work.u[j], work.v[j], lens, work)
+            n = _add_edge(work.u[i], work.v[i], work.u[j], work.v[j], lens, work, n)
         elif work.z[i] > near:
-            u, v = _near_point(i, j, lens, mesh, links, pose, work)
-            _add_edge(work.u[i], work.v[i], u, v, lens, work)
+            u, v = _near_point(i, j, lens, mesh, pose, work)
+            n = _add_edge(work.u[i], work.v[i], u, v, lens, work, n)
         elif work.z[j] > near:
-            u, v = _near_point(i, j, lens, mesh, links, pose, work)
-            _add_edge(u, v, work.u[j], work.v[j], lens, work)
+            u, v = _near_point(i, j, lens, mesh, pose, work)
+            n = _add_edge(u, v, work.u[j], work.v[j], lens, work, n)
     # A back face that crosses the near plane is closed there by one more edge: from where its outline
     # leaves the visible side to where it comes back.
-    for f in range(mesh.faces.shape[0]):
-        if not work.back[f]:
+    for f in range(links.face_start[link], links.face_start[link + 1]):
+        i, j, k = mesh.faces[f, 0], mesh.faces[f, 1], mesh.faces[f, 2]
+        seen = int(work.z[i] > near) + int(work.z[j] > near) + int(work.z[k] > near)
+        if not work.back[f] or seen == 0 or seen == 3:
             continue
-        out_u = out_v = in_u = in_v = 0.0
-        crosses = False
-        for k in range(3):
-            i, j = mesh.faces[f, k], mesh.faces[f, (k + 1) % 3]
-            if work.z[i] > near and not work.z[j] > near:
-                out_u, out_v = _near_point(i, j, lens, mesh, links, pose, work)
-                crosses = True
-            elif work.z[j] > near and not work.z[i] > near:
-                in_u, in_v = _near_point(i, j, lens, mesh, links, pose, work)
-        if crosses:
-            _add_edge(out_u, out_v, in_u, in_v, lens, work)
-
-
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _trace(state: Any, links: Any, mesh: Any, lens: Any, pose: Any, work: Any) -> None:
-    """Enter all crossings of one state's silhouette into ``work``; a state that is not finite has none."""
-    work.counts[:] = 0
-    if not np.isfinite(state.sum()):
-        return
-    _place_links(state, links, pose)
-    clipped = _project_and_face(links, mesh, lens, pose, work)
-    if clipped:
-        _add_clipped(links, mesh, lens, pose, work)
-        return
-    for e in range(mesh.edge_start.shape[0]):
-        back0, back1 = work.back[mesh.edge_face0[e]], work.back[mesh.edge_face1[e]]
-        if back0 != back1:
-            i, j = mesh.edge_start[e], mesh.edge_end[e]
-            if back1:
-                i, j = j, i
-            _add_edge(work.u[i], work.v[i], work.u[j], work.v[j], lens, work)
-
-
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _sort_row(crossings: Any, n: int) -> None:
-    """Insertion sort: rows hold a handful of crossings."""
-    for i in range(1, n):
-        key = crossings[i]
-        j = i - 1
-        while j >= 0 and crossings[j] > key:
-            crossings[j + 1] = crossings[j]
-            j -= 1
-        crossings[j + 1] = key
+        # Turn the corners so that the first is on one side alone.
+        alone = seen == 1
+        if (work.z[j] > near) == alone:
+            i, j, k = j, k, i
+        elif (work.z[k] > near) == alone:
+            i, j, k = k, i, j
+        u0, v0 = _near_point(i, j, lens, mesh, pose, work)
+        u1, v1 = _near_point(k, i, lens, mesh, pose, work)
+        if not alone:
+            u0, v0, u1, v1 = u1, v1, u0, v0
+        n = _add_edge(u0, v0, u1, v1, lens, work, n)
+    return n
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def score(states: Any, links: Any, mesh: Any, lens: Any, work: Any, prefix: Any, area: Any, total: Any) -> int:
+def _add_contour(link: int, links: Any, mesh: Any, lens: Any, work: Any, n: int) -> int:
+    """Enter the contour of one link's back faces, all before the camera; returns as :func:`_add_edge`."""
+    back, face0, face1 = work.back, mesh.edge_face0, mesh.edge_face1
+    found = 0
+    for e in range(links.edge_start[link], links.edge_start[link + 1]):
+        work.found[found] = e
+        found += back[face0[e]] != back[face1[e]]
+    for k in range(found):
+        e = work.found[k]
+        i, j = mesh.edge_start[e], mesh.edge_end[e]
+        if back[face1[e]]:
+            i, j = j, i
+        n = _add_edge(work.u[i], work.v[i], work.u[j], work.v[j], lens, work, n)
+    return n
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _collect_edges(state: Any, links: Any, mesh: Any, lens: Any, pose: Any, work: Any) -> int:
+    """Enter all contour edges of one state into ``work``; returns how many. A state that is not finite has none."""
+    if not np.isfinite(state.sum()):
+        return 0
+    _place_links(state, links, pose)
+    n = 0
+    for link in range(links.parent.shape[0]):
+        a, b = links.vertex_start[link], links.vertex_start[link + 1]
+        if a == b:
+            continue
+        x, y, z = mesh.x[a:b], mesh.y[a:b], mesh.z[a:b]
+        clipped = _project(x, y, z, lens, pose[link], work.u[a:b], work.v[a:b], work.z[a:b])
+        a, b = links.face_start[link], links.face_start[link + 1]
+        _mark_back_faces(mesh.nx[a:b], mesh.ny[a:b], mesh.nz[a:b], mesh.offset[a:b], pose[link], work.back[a:b])
+        if clipped:
+            n = _add_clipped(link, links, mesh, lens, pose, work, n)
+        else:
+            n = _add_contour(link, links, mesh, lens, work, n)
+    return n
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _column(edge: Any, row: int, lens: Any, work: Any) -> Any:
+    """First column whose pixel centre lies at or right of an edge's crossing of a row, within [0, width]."""
+    u = np.ceil(work.edge_u[edge] + (row - work.edge_v[edge]) * work.edge_slope[edge])
+    return np.int64(min(max(u, 0.0), float(lens.width)))
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _insert(active: Any, count: int, entry: Any) -> None:
+    """Insert an entry into the first ``count``, which are sorted. Rows differ little: it seldom travels."""
+    j = count - 1
+    while j >= 0 and active[j] > entry:
+        active[j + 1] = active[j]
+        j -= 1
+    active[j + 1] = entry
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _advance(row: int, count: int, lens: Any, work: Any) -> int:
+    """Bring the active list from the row before to this one, sorted by column; returns its new length."""
+    active = work.active
+    kept = 0
+    for k in range(count):
+        entry = active[k]
+        edge = entry & INDEX_MASK
+        if work.edge_last[edge] > row:
+            _insert(active, kept, (_column(edge, row, lens, work) << COLUMN_SHIFT) | (entry & EDGE_MASK))
+            kept += 1
+    edge = np.int64(work.row_first[row])
+    work.row_first[row] = -1
+    while edge >= 0:
+        _insert(active, kept, (_column(edge, row, lens, work) << COLUMN_SHIFT) | work.edge_entry[edge])
+        kept += 1
+        edge = np.int64(work.edge_next[edge])
+    return kept
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _spans(count: int, work: Any) -> int:
+    """Covered spans of the row in work as pairs in ``work.spans``; returns how many."""
+    spans, winding = 0, 0
+    for k in range(count):
+        entry = work.active[k]
+        before = winding
+        winding += 1 if entry & DIRECTION_BIT else -1
+        if before == 0:
+            work.spans[spans, 0] = entry >> COLUMN_SHIFT
+        elif winding == 0:
+            work.spans[spans, 1] = entry >> COLUMN_SHIFT
+            spans += 1
+    return spans
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def score(states: Any, links: Any, mesh: Any, lens: Any, work: Any, prefix: Any, area: Any, total: Any) -> None:
     """Area of each state's silhouette and the sum of an image over it.
 
     Args:
@@ -213,61 +285,50 @@ def score(states: Any, links: Any, mesh: Any, lens: Any, work: Any, prefix: Any,
         prefix: ``(H, W + 1)`` integers: sum of the image's row before each column.
         area: ``(N,)`` int64, filled with the pixels covered.
         total: ``(N,)`` int64, filled with the sums.
-
-    Returns:
-        The largest number of crossings in a row; above the scratch's capacity the results are not valid.
     """
-    most = 0
-    capacity = work.crossings.shape[1]
     pose = np.empty((links.parent.shape[0], 3, 4))
-    for n in range(states.shape[0]):
-        _trace(states[n], links, mesh, lens, pose, work)
-        covered = np.int64(0)
-        inside = np.int64(0)
-        for row in range(lens.height):
-            count = work.counts[row]
-            if count == 0:
+    active = work.active
+    for s in range(states.shape[0]):
+        edges = _collect_edges(states[s], links, mesh, lens, pose, work)
+        covered, inside = np.int64(0), np.int64(0)
+        row, count = 0, 0
+        last = 0
+        for n in range(edges):
+            last = max(last, work.edge_last[n])
+        while row < last:
+            if count == 0 and work.row_first[row] < 0:
+                row += 1
                 continue
-            if count > capacity:
-                most = max(most, count)
-                continue
-            crossings = work.crossings[row]
-            _sort_row(crossings, count)
-            winding, begin = 0, 0
-            for k in range(count):
-                column = crossings[k] >> 1
-                before = winding
-                winding += 1 if crossings[k] & 1 else -1
-                if before == 0:
-                    begin = column
-                elif winding == 0:
-                    covered += column - begin
-                    inside += np.int64(prefix[row, column]) - np.int64(prefix[row, begin])
-        area[n] = covered
-        total[n] = inside
-    return most
+            if count == 2:
+                # Between two edges alone, as along a shaft, nothing has to be sorted until a row where one begins or
+                # ends.
+                e0, e1 = active[0] & INDEX_MASK, active[1] & INDEX_MASK
+                stop = min(work.edge_last[e0], work.edge_last[e1])
+                while row < stop and work.row_first[row] < 0:
+                    c0, c1 = _column(e0, row, lens, work), _column(e1, row, lens, work)
+                    begin, end = min(c0, c1), max(c0, c1)
+                    covered += end - begin
+                    inside += np.int64(prefix[row, end]) - np.int64(prefix[row, begin])
+                    row += 1
+                if row >= last:
+                    break
+            count = _advance(row, count, lens, work)
+            for k in range(_spans(count, work)):
+                begin, end = work.spans[k, 0], work.spans[k, 1]
+                covered += end - begin
+                inside += np.int64(prefix[row, end]) - np.int64(prefix[row, begin])
+            row += 1
+        area[s] = covered
+        total[s] = inside
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def paint(state: Any, links: Any, mesh: Any, lens: Any, work: Any, image: Any) -> int:
-    """Set the pixels of one state's silhouette in ``image (H, W)`` bool; returns as :func:`score`."""
-    most = 0
+def paint(state: Any, links: Any, mesh: Any, lens: Any, work: Any, image: Any) -> None:
+    """Set the pixels of one state's silhouette in ``image (H, W)`` bool."""
     pose = np.empty((links.parent.shape[0], 3, 4))
-    _trace(state, links, mesh, lens, pose, work)
+    _collect_edges(state, links, mesh, lens, pose, work)
+    count = 0
     for row in range(lens.height):
-        count = work.counts[row]
-        most = max(most, count)
-        if count == 0 or count > work.crossings.shape[1]:
-            continue
-        crossings = work.crossings[row]
-        _sort_row(crossings, count)
-        winding, begin = 0, 0
-        for k in range(count):
-            column = crossings[k] >> 1
-            before = winding
-            winding += 1 if crossings[k] & 1 else -1
-            if before == 0:
-                begin = column
-            elif winding == 0:
-                image[row, begin:column] = True
-    return most
+        count = _advance(row, count, lens, work)
+        for k in range(_spans(count, work)):
+            image[row, work.spans[k, 0] : work.spans[k, 1]] = True
