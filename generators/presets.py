@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from surgbench.camera import Camera
-from surgbench.config import parse_model, read_yaml
-from surgbench.errors import ConfigError, NotFoundError, unknown_name
-
-PACKAGE = "surgbench.configs.presets"
+from surgbench.config import locate, parse_model, read_yaml
+from surgbench.errors import ConfigError, unknown_name
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -267,13 +264,6 @@ class Preset(Section):
         return self
 
 
-def builtin_presets() -> list[str]:
-    """Names of the presets that come with the package, sorted."""
-    return sorted(
-        entry.name.removesuffix(".yaml") for entry in resources.files(PACKAGE).iterdir() if entry.name.endswith(".yaml")
-    )
-
-
 def load_preset(
     name_or_path: str | Path,
     *,
@@ -295,18 +285,9 @@ def load_preset(
         NotFoundError: No built-in preset has this name.
         ConfigError: The file is missing or wrong, or an option has a value that will not do; one line.
     """
-    text = str(name_or_path)
     overrides = {"pairs": pairs, "frames": frames, "seed": seed, "corruption": corruption}
     given = {key: value for key, value in overrides.items() if value is not None}
-    if isinstance(name_or_path, Path) or "/" in text or text.lower().endswith((".yaml", ".yml")):
-        return _load_file(Path(text), given)
-    if text not in builtin_presets():
-        raise NotFoundError(unknown_name("preset", text, builtin_presets()) + ", or a file PRESET.yaml")
-    with resources.as_file(resources.files(PACKAGE) / f"{text}.yaml") as path:
-        return _load_file(path, given)
-
-
-def _load_file(path: Path, given: dict[str, Any]) -> Preset:
+    path = locate("presets", "preset", name_or_path)
     preset = parse_model(Preset, read_yaml(path, "preset"), str(path))
     if not given:
         return preset

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from surgbench.camera import Camera
+from surgbench.config import packaged_names
 from surgbench.contract import Mask
 from surgbench.dataset import Dataset
 from surgbench.dataset.validate import validate
@@ -27,7 +28,6 @@ from surgbench.generators.presets import (
     Keypoints,
     Preset,
     Readings,
-    builtin_presets,
     load_preset,
 )
 from surgbench.generators.render import MaskRenderer, visible_box
@@ -242,7 +242,7 @@ def test_readings_have_bias_drift_and_noise() -> None:
 
 
 def test_every_preset_loads() -> None:
-    assert builtin_presets() == ["mini", "paper"]
+    assert packaged_names("presets") == ["mini", "paper"]
     mini, paper = load_preset("mini"), load_preset("paper")
     assert (mini.pairs, mini.frames) == (1, 60)
     assert (paper.pairs, paper.frames) == (16, 1000)
