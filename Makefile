@@ -5,7 +5,6 @@ VENV := .venv
 BIN := $(VENV)/bin
 SETUP := $(VENV)/.setup-done
 DEMO := demo
-# The package mirrors of some machines print warnings about themselves; ours is the outcome.
 PIP := $(BIN)/python -m pip install --disable-pip-version-check -q -c constraints.txt
 
 .PHONY: demo test lint types unit wheel-test setup clean

@@ -246,15 +246,6 @@ class Preset(Section):
     keypoints: Keypoints = Keypoints()
     readings: Readings = Readings()
 
-    @field_validator("corruption", mode="before")
-    @classmethod
-    def _level(cls, value: Any) -> Any:
-        if isinstance(value, str):
-            if value not in CORRUPTION_LEVELS:
-                raise ValueError(unknown_name("corruption level", value, CORRUPTION_LEVELS))
-            return CORRUPTION_LEVELS[value]
-        return value
-
     @model_validator(mode="after")
     def _possible(self) -> Preset:
         if any(self.camera.distortion):
@@ -262,6 +253,16 @@ class Preset(Section):
         if self.motion.lowpass_cutoff_hz >= 0.5 / self.dt_s:
             raise ValueError(f"motion.lowpass_cutoff_hz must be below half the frame rate, {0.5 / self.dt_s:g}")
         return self
+
+
+def _parse(content: dict[str, Any], source: str) -> Preset:
+    """A preset from a file's content, in which a level stands for all settings of the corruption."""
+    level = content.get("corruption")
+    if isinstance(level, str):
+        if level not in CORRUPTION_LEVELS:
+            raise ConfigError(f"{source}: {unknown_name('corruption level', level, CORRUPTION_LEVELS)}")
+        content = {**content, "corruption": CORRUPTION_LEVELS[level].model_dump(mode="json")}
+    return parse_model(Preset, content, source)
 
 
 def load_preset(
@@ -288,14 +289,14 @@ def load_preset(
     overrides = {"pairs": pairs, "frames": frames, "seed": seed, "corruption": corruption}
     given = {key: value for key, value in overrides.items() if value is not None}
     path = locate("presets", "preset", name_or_path)
-    preset = parse_model(Preset, read_yaml(path, "preset"), str(path))
+    preset = _parse(read_yaml(path, "preset"), str(path))
     if not given:
         return preset
     names = {"pairs": "--sequences"}
     for key, value in given.items():
         # One at a time, so that the message names the option and not the file.
         try:
-            parse_model(Preset, {**preset.model_dump(), key: value}, names.get(key, f"--{key}"))
+            _parse({**preset.model_dump(mode="json"), key: value}, names.get(key, f"--{key}"))
         except ConfigError as error:
             raise ConfigError(str(error).replace(f"'{key}': ", "", 1)) from None
-    return parse_model(Preset, {**preset.model_dump(), **given}, str(path))
+    return _parse({**preset.model_dump(mode="json"), **given}, str(path))

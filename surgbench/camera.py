@@ -7,9 +7,10 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 
-from surgbench.errors import DatasetError
+from surgbench.config import parse_model
+from surgbench.errors import ConfigError, DatasetError
 from surgbench.geometry import FloatArray
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -72,12 +73,10 @@ def read_camera(path: Path) -> Camera:
         DatasetError: The file is missing, is not JSON, or lacks a key; the message names it.
     """
     try:
-        return Camera.model_validate(json.loads(path.read_text(encoding="utf-8")))
+        return parse_model(Camera, json.loads(path.read_text(encoding="utf-8")), str(path))
     except FileNotFoundError:
         raise DatasetError(f"{path}: camera file is missing (keys: width, height, fx, fy, cx, cy)") from None
     except (UnicodeDecodeError, json.JSONDecodeError) as error:
         raise DatasetError(f"{path}: not valid JSON ({error})") from None
-    except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"]) or "camera"
-        raise DatasetError(f"{path}: '{key}': {first['msg'].lower()}") from None
+    except ConfigError as error:
+        raise DatasetError(str(error)) from None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import json
 from importlib import resources
 from pathlib import Path
 from types import UnionType
@@ -14,6 +15,18 @@ from pydantic import BaseModel, ValidationError
 from surgbench.errors import ConfigError, NotFoundError, unknown_name
 
 Model = TypeVar("Model", bound=BaseModel)
+
+
+class _UniqueKeyLoader(yaml.SafeLoader):
+    """Refuses a key that is given twice, of which YAML would silently take the last."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        keys = [self.construct_object(key, deep=True) for key, _ in node.value]
+        for key in keys:
+            if keys.count(key) > 1:
+                raise yaml.constructor.ConstructorError(None, None, f"key '{key}' is given twice", node.start_mark)
+        mapping: dict[Any, Any] = super().construct_mapping(node, deep)
+        return mapping
 
 
 SUFFIXES = (".yaml", ".yml")
@@ -56,7 +69,7 @@ def read_yaml(path: Path, what: str) -> dict[str, Any]:
         ConfigError: It is missing, not YAML, or not a mapping; one line.
     """
     try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+        content = yaml.load(path.read_text(encoding="utf-8"), Loader=_UniqueKeyLoader)  # a safe loader
     except OSError as error:
         raise ConfigError(f"{path}: {what} file cannot be read ({error.strerror})") from None
     except (UnicodeDecodeError, yaml.YAMLError) as error:
@@ -78,7 +91,9 @@ def parse_model(model: type[Model], content: Any, source: str) -> Model:
         ConfigError: A key is unknown (the nearest valid one is named), missing, or has a wrong value; one line.
     """
     try:
-        return model.model_validate(content)
+        # As JSON, where strictness still takes a list for a tuple and a whole number for a float, but no
+        # "2" and no true for a number.
+        return model.model_validate_json(json.dumps(content, default=str), strict=True)
     except ValidationError as error:
         raise ConfigError(f"{source}: {explain(model, error)}") from None
 

@@ -80,7 +80,7 @@ class Scene:
     Attributes:
         instruments: One per arm.
         views: The cameras, with empty masks.
-        limits: Joint box of each arm that states must stay in.
+        limits: Joint box of each arm that states should stay in.
         dt_s: Seconds between frames.
         arms: 1 or 2.
         speed: ``"nominal"`` or ``"fast"``: how fast the instruments move, where the recording's author knows.
@@ -92,6 +92,13 @@ class Scene:
     dt_s: float
     arms: int
     speed: str = "nominal"
+
+    @property
+    def joint_limits(self) -> JointLimits:
+        """The boxes of all arms together, ``(arms, 3)``."""
+        return JointLimits(
+            np.stack([box.lower_rad for box in self.limits]), np.stack([box.upper_rad for box in self.limits])
+        )
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ import importlib
 import importlib.util
 import inspect
 import pkgutil
+import re
 import sys
 from dataclasses import dataclass
 from functools import cache
@@ -38,6 +39,8 @@ GROUPS: dict[Kind, str] = {
     "filter": "surgbench.filters",
     "keypoints": "surgbench.keypoints",
 }
+# Names become names of files.
+NAME_PATTERN = r"[A-Za-z0-9][A-Za-z0-9._-]*"
 METHODS: dict[Kind, tuple[str, ...]] = {
     "tracker": ("reset", "step"),
     "initialiser": ("initialise",),
@@ -95,7 +98,10 @@ def discover(kind: Kind) -> dict[str, Found]:
         source = f"{PACKAGES[kind]}.{info.name}"
         try:
             module = importlib.import_module(source)
-            found += [Found(str(vars(cls)["name"]), source, cls) for cls in _plugin_classes(module, kind)]
+            found += [
+                Found(str(vars(cls)["name"]), source, _checked(cls, kind, source))
+                for cls in _plugin_classes(module, kind)
+            ]
         except Exception as error:  # a broken plug-in is listed as such, whatever breaks it
             found.append(Found(info.name, source, None, f"{type(error).__name__}: {error}"))
     for point in entry_points(group=GROUPS[kind]):
@@ -114,9 +120,15 @@ def discover(kind: Kind) -> dict[str, Found]:
 def _checked(cls: Any, kind: Kind, source: str) -> type:
     if not inspect.isclass(cls):
         raise ConfigError(f"{source}: not a class")
+    name = getattr(cls, "name", None)
+    if not isinstance(name, str) or not re.fullmatch(NAME_PATTERN, name):
+        raise ConfigError(f"{source}: needs a 'name' of letters, digits, '.', '_' and '-', not {name!r}")
+    config = getattr(cls, "Config", None)
+    if config is not None and not (inspect.isclass(config) and issubclass(config, BaseModel)):
+        raise ConfigError(f"{source}: 'Config' must be a pydantic model")
     for method in METHODS[kind]:
         if not callable(getattr(cls, method, None)):
-            raise ConfigError(f"{source}: a {kind} needs a method '{method}'")
+            raise ConfigError(f"{source}: needs a method '{method}'")
     return cls
 
 
@@ -131,7 +143,7 @@ def _load_file(path: Path) -> Any:
     sys.modules[name] = module
     try:
         spec.loader.exec_module(module)
-    except Exception as error:
+    except BaseException as error:  # a file that exits is no better than one that raises
         del sys.modules[name]
         raise ConfigError(f"{path}: cannot be imported ({type(error).__name__}: {error})") from error
     return module
@@ -158,7 +170,7 @@ def find(kind: Kind, reference: str) -> Found:
             names = [cls.__name__ for cls in _plugin_classes(module, kind)]
             raise NotFoundError(f"{path_text}: {unknown_name('class', class_name, names)}")
         cls = _checked(getattr(module, class_name), kind, reference)
-        return Found(getattr(cls, "name", class_name), f"{path.name}:{class_name}", cls)
+        return Found(str(getattr(cls, "name", class_name)), f"{path.name}:{class_name}", cls)
     if reference.endswith(".py"):
         raise NotFoundError(f"{reference}: say which class, as {reference}:ClassName")
     available = discover(kind)

@@ -30,15 +30,15 @@ class JointLimits:
     """Box of the three joints.
 
     Attributes:
-        lower_rad: ``(3,)``.
-        upper_rad: ``(3,)``.
+        lower_rad: ``(3,)``, or ``(arms, 3)`` for the boxes of several arms.
+        upper_rad: Same shape.
     """
 
     lower_rad: FloatArray
     upper_rad: FloatArray
 
     def clip(self, joints_rad: FloatArray) -> FloatArray:
-        """Clip ``(..., 3)`` joints into the box."""
+        """Clip ``(..., 3)`` or ``(..., arms, 3)`` joints into the box."""
         return np.clip(joints_rad, self.lower_rad, self.upper_rad)
 
 
@@ -80,7 +80,7 @@ class StateSpace:
     is a feasible state; then each component is divided by its natural step.
 
     Args:
-        limits: Joint box of one instrument.
+        limits: Joint box of the instruments.
         scale: ``(9,)`` step of each component (``STATE_SCALE`` unless told).
         arms: 1 or 2; vectors have ``9 * arms`` components.
     """

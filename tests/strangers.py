@@ -105,3 +105,37 @@ class NoStep:
     name = "no-step"
 
     def reset(self, scene: Any, state: Any, rng: Any) -> None: ...
+
+
+class NanConfidence(Still):
+    name = "nan-confidence"
+
+    def step(self, observation: Any) -> Any:
+        from surgbench.contract import Estimate
+
+        return Estimate(observation.start, confidence=float("nan"))
+
+
+class WrongName(Still):
+    name = "../elsewhere"
+
+
+class WrongConfig(Still):
+    name = "wrong-config"
+    Config = 3
+
+
+class Prints(Still):
+    name = "prints"
+
+    def step(self, observation: Any) -> Any:
+        print("seen", observation.index)
+        return observation.start
+
+
+class Spins(Still):
+    name = "spins"
+
+    def step(self, observation: Any) -> Any:
+        while True:
+            pass

@@ -202,7 +202,7 @@ def truncate(name: str) -> Callable[[Path], Any]:
         (lambda s: write_png(s / "masks/m1.png", blob(0)), "m1.png: is frame 1, and so is 000001.png"),
         (remove("camera.json"), "camera.json: camera file is missing"),
         (put("camera.json", "{"), "camera.json: not valid JSON"),
-        (camera_without("fx"), "camera.json: 'fx'"),
+        (camera_without("fx"), "camera.json: key 'fx' is missing"),
         (put("camera.json", json.dumps({**CAMERA, "fx": "wide"})), "camera.json: 'fx'"),
         (
             put("camera.json", json.dumps({**CAMERA, "distortion": [0.1]})),

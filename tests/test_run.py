@@ -92,6 +92,7 @@ def test_observations_hold_no_truth(dataset: Path, tmp_path: Path) -> None:
         ("ReturnsNan", "invalid", "NaN", 0),
         ("ReturnsShape", "invalid", "returned shape (7,), not (9,)", 0),
         ("ReturnsText", "invalid", "returned str", 0),
+        ("NanConfidence", "invalid", "confidence that is no number (nan)", 0),
     ],
 )
 def test_a_failing_tracker_costs_its_own_row_only(
@@ -113,19 +114,8 @@ def test_a_failing_tracker_costs_its_own_row_only(
 
 
 def test_a_hanging_tracker_is_given_up(dataset: Path, tmp_path: Path) -> None:
-    surgbench(
-        "run",
-        "--dataset",
-        dataset,
-        "--tracker",
-        f"{STRANGERS}:Hangs",
-        "--timeout",
-        "5",
-        "--jobs",
-        "2",
-        "--out",
-        tmp_path,
-    )
+    command = ("run", "--dataset", dataset, "--tracker", f"{STRANGERS}:Hangs", "--out", tmp_path, "--jobs", "2")
+    surgbench(*command, "--timeout", "5", expect=1)
     assert [record["status"] for record in records(tmp_path)] == ["timeout", "timeout"]
 
 
@@ -135,7 +125,7 @@ def test_recorded_runs_are_not_run_again_and_failed_ones_are(
     flag, out = tmp_path / "flag", tmp_path / "runs"
     monkeypatch.setenv("SURGBENCH_TEST_FLAG", str(flag))
     command = ("run", "--dataset", dataset, "--tracker", f"{STRANGERS}:FailsOnce", "--out", out)
-    surgbench(*command)
+    surgbench(*command, expect=1)
     assert [record["status"] for record in records(out)] == ["failed", "failed"]
     flag.touch()
     surgbench(*command, "--keep-failed")
@@ -254,6 +244,11 @@ def test_a_suite_file_runs_its_rows(dataset: Path, tmp_path: Path) -> None:
         (("--tracker", f"{STRANGERS}:Stil"), "unknown class 'Stil'; did you mean 'Still'?"),
         (("--tracker", f"{STRANGERS}:NoStep"), "needs a method 'step'"),
         (("--tracker", str(STRANGERS)), "say which class"),
+        (("--tracker", f"{STRANGERS}:WrongName"), "needs a 'name' of letters"),
+        (("--tracker", f"{STRANGERS}:WrongConfig"), "'Config' must be a pydantic model"),
+        (("--tracker", "cmaes", "--timeout", "0"), "'timeout_s'"),
+        (("--tracker", "cmaes", "--set", "cmaes.iterations=true"), "'iterations'"),
+        (("--tracker", "cmaes", "--set", "cmaes.iterations='5'"), "'iterations'"),
         (("--tracker", "cmaes", "--set", "cmaes.iteration=5"), "did you mean 'iterations'?"),
         (("--tracker", "cmaes", "--set", "cmaes.iterations=many"), "'iterations'"),
         (("--tracker", "cmaes", "--set", "cmaes.loss.keypoint=0"), "did you mean 'keypoints'?"),
@@ -305,3 +300,89 @@ def test_a_damaged_record_is_named(dataset: Path, tmp_path: Path, capsys: pytest
     capsys.readouterr()
     surgbench(*command, expect=2)
     assert "000-left-r0.json: damaged record" in capsys.readouterr().err
+
+
+def command(*arguments: object) -> list[str]:
+    return [sys.executable, "-c", "from surgbench.cli import main; main()", *map(str, arguments)]
+
+
+def test_what_a_tracker_prints_stays_out_of_the_output(dataset: Path, tmp_path: Path) -> None:
+    arguments = command("run", "--dataset", dataset, "--tracker", f"{STRANGERS}:Prints", "--out", tmp_path)
+    done = subprocess.run(arguments, capture_output=True, text=True, check=True)
+    assert "seen" not in done.stdout
+    assert "seen" in done.stderr
+
+
+def workers() -> set[int]:
+    found = set()
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            if b"surgbench.suite.worker" in (folder / "cmdline").read_bytes():
+                found.add(int(folder.name))
+        except OSError:
+            continue
+    return found
+
+
+@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGINT])
+def test_no_tracker_outlives_an_interrupted_run(dataset: Path, tmp_path: Path, how: signal.Signals) -> None:
+    before = workers()
+    arguments = command("run", "--dataset", dataset, "--tracker", f"{STRANGERS}:Spins", "--out", tmp_path)
+    process = subprocess.Popen(arguments, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)
+    deadline = time.monotonic() + 60
+    while not workers() - before and time.monotonic() < deadline:
+        time.sleep(0.05)
+    time.sleep(2.0)
+    process.send_signal(how)
+    complaint = process.communicate(timeout=30)[1]
+    if how == signal.SIGINT:
+        assert process.returncode == 130
+        assert complaint.splitlines()[-1] == "surgbench: interrupted; the same command again goes on from here"
+        assert "Traceback" not in complaint
+    while workers() - before and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not workers() - before
+
+
+def test_a_folder_that_cannot_be_written_is_noticed_before_the_work(
+    dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").touch()
+    arguments = ("run", "--dataset", dataset, "--tracker", f"{STRANGERS}:Still", "--out", tmp_path / "file" / "x")
+    surgbench(*arguments, expect=2)
+    assert "cannot be written" in capsys.readouterr().err
+
+
+def test_a_damaged_dataset_ends_the_run_at_once(
+    dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    import shutil
+
+    damaged = tmp_path / "data"
+    shutil.copytree(dataset, damaged)
+    mask = damaged / "sequences/000/observed/left/000001.png"
+    mask.write_bytes(mask.read_bytes()[:60])
+    arguments = ("run", "--dataset", damaged, "--tracker", f"{STRANGERS}:Still", "--out", tmp_path / "runs")
+    surgbench(*arguments, expect=2)
+    assert "000001.png" in capsys.readouterr().err
+    assert not records(tmp_path / "runs")
+
+
+def test_the_papers_tracker_follows_the_mini_dataset(tmp_path: Path) -> None:
+    """What `make demo` shows: mask error at most 0.10, rotation at most 0.30 rad, without readings."""
+    folder = tmp_path / "mini"
+    generate(plan_dataset(load_preset("mini")), folder, jobs=2)
+    surgbench("run", "--dataset", folder, "--tracker", "cmaes", "--jobs", "2", "--out", tmp_path / "runs")
+    found = records(tmp_path / "runs")
+    assert np.mean([record["errors"]["mask_error"] for record in found]) <= 0.10
+    assert np.mean([record["errors"]["rotation_error_rad"] for record in found]) <= 0.30
+
+
+def test_a_key_given_twice_is_refused(dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    suite = tmp_path / "suite.yaml"
+    suite.write_text("seed: 0\nseed: 1\nrows: [{tracker: cmaes}]\n")
+    surgbench("run", "--dataset", dataset, "--suite", suite, "--out", tmp_path / "runs", expect=2)
+    assert "'seed' is given twice" in capsys.readouterr().err
+    suite.write_text("seed: '1'\nrows: [{tracker: cmaes}]\n")
+    surgbench("run", "--dataset", dataset, "--suite", suite, "--out", tmp_path / "runs", expect=2)
+    assert "'seed'" in capsys.readouterr().err

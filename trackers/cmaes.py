@@ -47,8 +47,8 @@ class CmaesTracker(InstrumentTracker):
         self._objective = Objective(scene, self.config.loss)
         size = STATE_SIZE * scene.arms
         with_readings = STATE_SCALE * np.where(np.arange(STATE_SIZE) < 6, 1.0, self.config.readings_scale)
-        self._space = StateSpace(scene.limits[0], STATE_SCALE, scene.arms)
-        self._space_with_readings = StateSpace(scene.limits[0], with_readings, scene.arms)
+        self._space = StateSpace(scene.joint_limits, STATE_SCALE, scene.arms)
+        self._space_with_readings = StateSpace(scene.joint_limits, with_readings, scene.arms)
         self._blocks = (STATE_SIZE,) * scene.arms
         self._normals = SobolNormals(size, rng)
 

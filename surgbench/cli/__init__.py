@@ -6,7 +6,6 @@ with ``--debug``.
 
 from __future__ import annotations
 
-import errno
 import sys
 from typing import Annotated
 
@@ -21,6 +20,8 @@ from surgbench.cli.run import run
 from surgbench.cli.validate import validate
 from surgbench.cli.video import video
 from surgbench.errors import SurgbenchError
+
+INTERRUPTED = 130  # typer's own exit code for Ctrl-C, and the shell's
 
 app = typer.Typer(
     name="surgbench",
@@ -81,19 +82,25 @@ def main() -> None:
             raise
         code = _complain(str(error))
     except OSError as error:
-        if debug or error.errno not in (errno.ENOSPC, errno.EACCES, errno.EROFS, errno.EDQUOT):
+        if debug:
             raise
         place = f"{error.filename}: " if error.filename else ""
-        code = _complain(f"{place}{(error.strerror or 'cannot be written').lower()}")
+        code = _complain(f"{place}{(error.strerror or str(error)).lower()}")
     except (KeyboardInterrupt, typer.Abort):
-        print("surgbench: interrupted; the same command again goes on from here", file=sys.stderr)
-        code = 130
+        code = INTERRUPTED
     except Exception as error:
         # What typer raises for a wrong command line knows how to say so.
         describe = getattr(error, "format_message", None)
         if debug or describe is None:
             raise
-        code = _complain(str(describe()).strip() or "not enough arguments; see --help")
+        message = str(describe()).strip()
+        if "\n" in message:  # no command at all: the help
+            print(message)
+            code = 2
+        else:
+            code = _complain(message or "not enough arguments; see --help")
+    if code == INTERRUPTED:
+        print("surgbench: interrupted; the same command again goes on from here", file=sys.stderr)
     sys.exit(code if isinstance(code, int) else 0)
 
 

@@ -54,7 +54,7 @@ def run(
     Example: surgbench run --dataset data/mini --tracker cmaes --set cmaes.iterations=5
 
     A tracker runs in a process of its own that is sent observations only. FILE.py:Class runs that file with
-    your rights.
+    your rights. A failed run is a record too; the exit code is 1 where every run failed.
     """
     from rich.console import Console
 
@@ -64,7 +64,7 @@ def run(
     from surgbench.report.rows import derive_rows
     from surgbench.suite.plan import complete
     from surgbench.suite.plan import jobs as plan_jobs
-    from surgbench.suite.run import check_output, make_plan
+    from surgbench.suite.run import check_output, make_plan, probe_output
     from surgbench.suite.run import run as run_plan
     from surgbench.suite.suites import from_command_line, load_suite
 
@@ -99,6 +99,7 @@ def run(
             failures.append(record)
 
     if plan.todo:
+        probe_output(out)
         with progress("frames", plan.frames) as bar:
             run_plan(plan, data, out, jobs, bar, bar.stage, finished)
     for record in failures:
@@ -108,6 +109,8 @@ def run(
     rows = derive_rows([record for record in read_records([out]) if record.spec_hash in {job.hash for job in planned}])
     print_leaderboard(rows, Console())
     print(out)
+    if plan.todo and len(failures) == len(plan.todo):
+        raise typer.Exit(1)
 
 
 def _readings(no_joints: bool, joints: bool, readings: str | None) -> str | None:

@@ -169,6 +169,10 @@ def read_recording(source: Path, *, single_images: bool = False) -> Recording:
     images: list[Path] | None = None
     if (source / "images").is_dir():
         found = _numbered(source / "images", IMAGE_SUFFIXES)
+        maskless = sorted(set(found) - set(numbers))
+        if maskless:
+            missing = _renumbered(masks[numbers[0]], maskless[0])
+            raise DatasetError(f"{missing}: the mask of frame {maskless[0]} is missing; every image needs one")
         lacking = [number for number in numbers if number not in found]
         if lacking:
             raise DatasetError(f"{source / 'images'}: the image of frame {lacking[0]} is missing; every mask needs one")
@@ -327,6 +331,11 @@ def _numbered(folder: Path, suffixes: tuple[str, ...]) -> dict[int, Path]:
             raise DatasetError(f"{path}: is frame {number}, and so is {found[number].name}")
         found[number] = path
     return found
+
+
+def _renumbered(path: Path, number: int) -> Path:
+    """The same name with another frame's number in as many digits."""
+    return path.with_name(re.sub(r"\d+$", lambda old: f"{number:0{len(old[0])}d}", path.stem) + path.suffix)
 
 
 def _read_csv(path: Path, columns: tuple[str, ...], numbers: list[int], *, complete: bool) -> FloatArray | None:

@@ -103,6 +103,15 @@ def read_mask(path: Path, width: int, height: int) -> Mask:
     return decode_mask(read_bytes(path), str(path), width, height)
 
 
+def read_image(path: Path, width: int, height: int) -> NDArray[np.uint8]:
+    """Read one of a dataset's images, ``(height, width, 3)`` uint8 RGB.
+
+    Raises:
+        DatasetError: It is missing, truncated, or of another size; one line that names it.
+    """
+    return decode_image(read_bytes(path), str(path), width, height)
+
+
 def decode_image(data: bytes, name: str, width: int, height: int) -> NDArray[np.uint8]:
     """Decode a colour image, ``(height, width, 3)`` uint8 RGB.
 

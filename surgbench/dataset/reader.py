@@ -24,7 +24,7 @@ from surgbench.dataset.format import (
     read_manifest,
     states_path,
 )
-from surgbench.dataset.masks import Mask, decode_image, read_bytes, read_mask
+from surgbench.dataset.masks import Mask, read_bytes, read_image, read_mask
 from surgbench.errors import DatasetError, unknown_name
 from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument, load_instrument
@@ -108,11 +108,15 @@ class Sequence:
 
     def image(self, frame: int) -> NDArray[np.uint8] | None:
         """The camera's image, ``(height, width, 3)`` uint8 RGB; ``None`` where there are no images."""
+        path = self.image_path(frame)
+        return None if path is None else read_image(path, self.camera.width, self.camera.height)
+
+    def image_path(self, frame: int) -> Path | None:
+        """Where a frame's image lies; ``None`` where there are no images."""
         if not self.entry.images:
             return None
         self._check(None, frame)
-        path = self.root / observed_path(self.id, IMAGE_KIND, frame)
-        return decode_image(read_bytes(path), str(path), self.camera.width, self.camera.height)
+        return (self.root / observed_path(self.id, IMAGE_KIND, frame)).resolve()
 
     @cached_property
     def timestamps_s(self) -> FloatArray:

@@ -59,7 +59,8 @@ def decode_table(data: bytes, name: str, rows: int, columns: Sequence[str]) -> d
     from pyarrow import parquet
 
     try:
-        table = parquet.read_table(io.BytesIO(data))
+        # pyarrow's reader threads, read-ahead ones included, may outlive the call and abort the process at exit.
+        table = parquet.read_table(io.BytesIO(data), use_threads=False, pre_buffer=False)
     except (pa.ArrowException, OSError, ValueError):
         raise DatasetError(f"{name}: truncated or damaged Parquet file") from None
     for column in (FRAME, *columns):

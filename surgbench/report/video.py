@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import os
@@ -278,6 +279,7 @@ def write_video(path: Path, pictures: Iterable[Picture], fps: float) -> None:
     # The container is chosen by the ending.
     partial = path.with_name(f"{path.stem}.{os.getpid()}{PARTIAL_SUFFIX}{path.suffix}")
     writer: cv2.VideoWriter | None = None
+    written = 0
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         for picture in pictures:
@@ -287,15 +289,29 @@ def write_video(path: Path, pictures: Iterable[Picture], fps: float) -> None:
                 if not writer.isOpened():
                     raise SurgbenchError(f"{path}: cannot be written (OpenCV could not open it for MP4 video)")
             writer.write(picture[..., ::-1])
+            written += 1
         if writer is not None:
             writer.release()
+            # OpenCV does not say when a write fails, as on a full disk: see whether it is whole.
+            if _frames_in(partial) != written:
+                raise SurgbenchError(f"{path}: cannot be written whole (is the disk full?)")
             partial.replace(path)
     except OSError as error:
         raise SurgbenchError(f"{path}: cannot be written ({error.strerror})") from None
     finally:
         if writer is not None:
             writer.release()
-        partial.unlink(missing_ok=True)
+        with contextlib.suppress(NotADirectoryError):
+            partial.unlink(missing_ok=True)
+
+
+def _frames_in(path: Path) -> int:
+    video = cv2.VideoCapture(str(path))
+    try:
+        count = int(video.get(cv2.CAP_PROP_FRAME_COUNT)) if video.isOpened() else 0
+    finally:
+        video.release()
+    return count
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,18 @@ from typing import Any
 
 import surgbench
 
-PACKAGES = ("numpy", "scipy", "numba", "opencv-python-headless", "mitsuba", "drjit", "trimesh", "torch")
+PACKAGES = (
+    "numpy",
+    "scipy",
+    "numba",
+    "opencv-python-headless",
+    "mitsuba",
+    "drjit",
+    "trimesh",
+    "pyarrow",
+    "pydantic",
+    "torch",
+)
 
 
 @cache

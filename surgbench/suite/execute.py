@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -10,6 +11,7 @@ import numpy as np
 
 from surgbench import metrics
 from surgbench.contract import Mask, Observation, Scene, View, no_image
+from surgbench.dataset.masks import read_image
 from surgbench.dataset.reader import Dataset, Sequence, Unit
 from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument
@@ -74,8 +76,9 @@ class UnitData:
     def observation(self, frame: int, mask: Mask) -> Observation:
         """What a tracker may know of a frame; ``start`` is the engine's to fill in."""
         keypoints = tuple(None if np.isnan(arm[frame]).any() else arm[frame] for arm in self._keypoints)
-        has_images = self.sequence.entry.images
-        image = partial(self.sequence.image, frame) if has_images else no_image
+        path = self.sequence.image_path(frame)
+        # Only the file's place: a bound method would carry the sequence, its readings and its truth along.
+        image = no_image if path is None else partial(read_image, path, self.camera.width, self.camera.height)
         joints = None
         if self._joints is not None and not np.isnan(self._joints[frame]).any():
             limits = [instrument.search_limits for instrument in self.instruments]
@@ -121,6 +124,7 @@ def execute(
     advance: Callable[[float], None],
     initialising: Callable[[float], None],
     children: set[Child],
+    stopping: threading.Event,
 ) -> dict[str, Any]:
     """Run a job in a child process and measure what it estimated.
 
@@ -131,6 +135,7 @@ def execute(
         advance: Called with 1 for each frame done.
         initialising: Called with how far the initialiser is, 0 to 1.
         children: Holds the child while it lives, so that it can be stopped from outside.
+        stopping: Set when the run is to end; then nothing new is begun.
 
     Returns:
         The record, whatever became of the run.
@@ -146,9 +151,13 @@ def execute(
     child = Child(job.settings.protocol.timeout_s)
     children.add(child)
     try:
+        if stopping.is_set():
+            raise ChildProblemError("failed", "stopped before it began")
         child.send("setup", child_setup(job, data.scene()))
         child.receive()
         for frame in range(data.frames):
+            if stopping.is_set():
+                raise ChildProblemError("failed", "stopped")
             mask = data.sequence.mask(job.unit.kind, frame)
             observation = data.observation(frame, mask)
             if frame == 0:
@@ -181,7 +190,7 @@ def execute(
         "error": error,
         "traceback": trace,
         "environment": environment,
-        "dataset_path": str(dataset.path),
+        "dataset_path": str(dataset.path.resolve()),
         "initialise_s": initialise_s,
         "unit_frames": data.frames,
         "frames": _frames(answers),

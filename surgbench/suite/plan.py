@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from surgbench.dataset.reader import Dataset, Unit
 from surgbench.errors import ConfigError
 from surgbench.files import canonical_json, sha256_text
-from surgbench.registry import Kind, configure, find
+from surgbench.registry import NAME_PATTERN, Kind, configure, find
 
 Readings = Literal["none", "noisy", "true"]
 HASH_DIGITS = 16
@@ -32,7 +32,7 @@ class Row(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     tracker: str
-    row_id: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")] | None = None
+    row_id: Annotated[str, Field(pattern=f"^{NAME_PATTERN}$")] | None = None
     initialiser: str | None = None
     filter: str = "kalman"
     keypoints: str = "observed"
@@ -97,7 +97,6 @@ class Settings:
             "keypoints": self.keypoints.spec(),
             "readings": self.readings,
             "seed": self.protocol.seed,
-            "timeout_s": self.protocol.timeout_s,
         }
 
     @property
@@ -114,6 +113,8 @@ class Settings:
     def variant(self) -> str:
         """What differs from the defaults, in a few words."""
         words = [f"{key}={value}" for key, value in _flat(self.tracker.changed)]
+        if self.protocol.seed:
+            words.append(f"seed {self.protocol.seed}")
         if self.readings != "none":
             words.append(f"{self.readings} readings")
         for plug, usual in ((self.filter, "kalman"), (self.keypoints, "observed"), (self.initialiser, "truth")):

@@ -59,6 +59,26 @@ def check_output(out: Path) -> None:
         raise SurgbenchError(f"{out}: holds something else ('{strangers[0]}'); records need a folder of their own")
 
 
+def _write(path: Path, data: bytes) -> None:
+    try:
+        write_atomic(path, data)
+    except OSError as error:
+        raise SurgbenchError(
+            f"{path}: cannot be written ({error.strerror}); mend that, then run the same command again"
+        ) from None
+
+
+def probe_output(out: Path) -> None:
+    """Make the output folder, and see before the work that a record can be written there.
+
+    Raises:
+        SurgbenchError: It cannot.
+    """
+    probe = out / f"probe{PARTIAL_SUFFIX}"
+    _write(probe, bytes(1 << 16))
+    probe.unlink()
+
+
 def make_plan(jobs: list[Job], out: Path, retry_failed: bool = True) -> Plan:
     """Sort jobs by what is already there.
 
@@ -66,7 +86,7 @@ def make_plan(jobs: list[Job], out: Path, retry_failed: bool = True) -> Plan:
         DatasetError: A record is damaged, or is of another run.
     """
     todo, done, retried = [], 0, 0
-    for job in jobs:
+    for job in {job.hash: job for job in jobs}.values():  # each once, however often it is asked for
         status = _recorded_status(out / job.path, job)
         if status is None or (status != "ok" and retry_failed):
             todo.append(job)
@@ -81,8 +101,8 @@ def _recorded_status(path: Path, job: Job) -> str | None:
         record = json.loads(path.read_text(encoding="utf-8"))
         if record["format"] == RECORD_FORMAT and record["spec_hash"] == job.hash:
             return str(record["status"])
-    except FileNotFoundError:
-        return None
+    except (FileNotFoundError, NotADirectoryError):
+        return None  # nothing there, or nowhere to write, which is noticed before the work
     except (OSError, ValueError, KeyError, TypeError):
         raise DatasetError(f"{path}: damaged record; delete it and run again") from None
     raise DatasetError(f"{path}: record of another run; choose another --out")
@@ -125,14 +145,17 @@ def run(
             frames_done += amount
             advance(amount)
 
-        record = execute(job, dataset, environment(), count, lambda fraction: stage(label, fraction), children)
-        if stopping.is_set():
-            return None
-        advance(job.frames - frames_done)
         try:
-            write_atomic(out / job.path, (canonical_json(record) + "\n").encode())
-        except OSError as error:
-            raise SurgbenchError(f"{out / job.path}: cannot be written ({error.strerror})") from None
+            record = execute(
+                job, dataset, environment(), count, lambda fraction: stage(label, fraction), children, stopping
+            )
+            if stopping.is_set():
+                return None
+            advance(job.frames - frames_done)
+            _write(out / job.path, (canonical_json(record) + "\n").encode())
+        except BaseException:
+            stopping.set()  # before this thread takes the next job
+            raise
         return record
 
     with ThreadPoolExecutor(max_workers=workers) as pool:

@@ -8,7 +8,7 @@ import yaml
 
 from surgbench.config import locate, parse_model, read_yaml
 from surgbench.errors import ConfigError
-from surgbench.suite.plan import Row, Suite
+from surgbench.suite.plan import Suite
 
 
 def load_suite(reference: str) -> Suite:
@@ -41,14 +41,14 @@ def from_command_line(
         raise ConfigError("say what to run: --tracker NAME (see: surgbench list trackers), or --suite NAME, not both")
     given = {key: value for key, value in row.items() if value is not None}
     options = parse_sets(sets)
+    kept: dict[str, Any] = {}
     if base is None:
-        rows = [Row(tracker=tracker, options=options, **given) for tracker in trackers]
-        kept: dict[str, Any] = {}
+        rows = [{"tracker": tracker, "options": options, **given} for tracker in trackers]
     else:
-        rows = [one.model_copy(update={**given, "options": _merged(one.options, options)}) for one in base.rows]
-        kept = base.model_dump(exclude={"rows"})
+        rows = [{**one.model_dump(mode="json"), **given, "options": _merged(one.options, options)} for one in base.rows]
+        kept = base.model_dump(mode="json", exclude={"rows"})
     changed = {key: value for key, value in protocol.items() if value is not None}
-    return Suite(rows=tuple(rows), **{**kept, **changed})
+    return parse_model(Suite, {"rows": rows, **kept, **changed}, "command line")
 
 
 def parse_sets(sets: list[str]) -> dict[str, dict[str, Any]]:

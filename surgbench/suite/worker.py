@@ -7,7 +7,11 @@ parent in one line, with the traceback beside it.
 
 from __future__ import annotations
 
+import contextlib
+import os
+import signal
 import sys
+import threading
 import time
 import traceback
 from collections.abc import Callable
@@ -23,6 +27,8 @@ from surgbench.randomness import generator
 from surgbench.registry import create, find
 from surgbench.state import JOINTS, STATE_SIZE, clip_joints, split_arms
 from surgbench.suite.plan import Plug
+
+WATCH_INTERVAL_S = 1.0
 
 
 @dataclass(frozen=True)
@@ -79,6 +85,21 @@ def check_state(value: Any, size: int, who: str) -> FloatArray:
     return state
 
 
+def check_confidence(value: Any, who: str) -> float:
+    """A plug-in's confidence as a finite number.
+
+    Raises:
+        InvalidAnswerError: It is something else.
+    """
+    try:
+        confidence = float(value)
+    except (TypeError, ValueError):
+        confidence = np.nan
+    if not np.isfinite(confidence):
+        raise InvalidAnswerError(f"{who} returned a confidence that is no number ({value!r})")
+    return confidence
+
+
 class Loop:
     """Predict, step, update over one sequence.
 
@@ -107,7 +128,9 @@ class Loop:
         observation = self._with_keypoints(observation)[0]
         initialiser = self._make(setup.initialiser)
         state = initialiser.initialise(scene, observation, generator(**setup.initialiser_axes), truth, progress)
-        return clip_joints(check_state(state, self._size, f"initialiser '{setup.initialiser.name}'"), scene.limits[0])
+        return clip_joints(
+            check_state(state, self._size, f"initialiser '{setup.initialiser.name}'"), scene.joint_limits
+        )
 
     def begin(self, observation: Observation, state: FloatArray) -> None:
         """Start at the first frame's state: warm up on a throw-away tracker, then reset everything."""
@@ -130,7 +153,7 @@ class Loop:
         start = check_state(start, self._size, f"filter '{self._setup.filter.name}'")
         if observation.joints is not None:
             split_arms(start)[:, JOINTS] = observation.joints
-        start = clip_joints(start, self._scene.limits[0])
+        start = clip_joints(start, self._scene.joint_limits)
         observation, keypoints_s = self._with_keypoints(replace(observation, start=start.copy()))
         if isinstance(self._tracker, Traceable):
             self._tracker.trace = trace
@@ -139,11 +162,12 @@ class Loop:
         optimise_s = time.perf_counter() - before
         estimate = answer if isinstance(answer, Estimate) else Estimate(answer)
         state = check_state(estimate.state, self._size, f"tracker '{self._setup.tracker.name}'")
+        confidence = check_confidence(estimate.confidence, f"tracker '{self._setup.tracker.name}'")
         self._filter.update(state.copy())
         return Answer(
             start=start,
             state=state,
-            confidence=float(estimate.confidence),
+            confidence=confidence,
             lost=bool(estimate.lost),
             latency_ms=1e3 * (time.perf_counter() - begin),
             latency_optimise_ms=1e3 * optimise_s,
@@ -156,6 +180,17 @@ class Loop:
             replace(view, keypoints=tuple(self._keypoints.detect(observation, view))) for view in observation.views
         )
         return replace(observation, views=views), time.perf_counter() - begin
+
+
+def end_with_parent(parent: int) -> None:
+    """End this process when its parent is gone, whatever the tracker is busy with."""
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(WATCH_INTERVAL_S)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 def serve(connection: Connection) -> None:
@@ -187,7 +222,8 @@ def serve(connection: Connection) -> None:
         except Exception as error:  # whatever the plug-in raised is the run's result
             status = "invalid" if isinstance(error, InvalidAnswerError) else "failed"
             text = str(error) if isinstance(error, InvalidAnswerError) else f"{type(error).__name__}: {error}"
-            connection.send(("problem", status, " ".join(text.split()), traceback.format_exc()))
+            with contextlib.suppress(OSError):  # the parent may be gone
+                connection.send(("problem", status, " ".join(text.split()), traceback.format_exc()))
             return
 
 
@@ -195,4 +231,8 @@ if __name__ == "__main__":
     # What crosses to the parent must be of this module's importable self, not of __main__.
     from surgbench.suite import worker
 
+    worker.end_with_parent(os.getppid())
+    # Ctrl-C is the parent's to handle; what a tracker prints must not end up in the command's output.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    os.dup2(2, 1)
     worker.serve(Connection(int(sys.argv[1])))

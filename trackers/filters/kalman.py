@@ -84,7 +84,7 @@ class KalmanFilter(Plugin):
         noise = TUNED if config.noise == "tuned" else PUBLISHED
         speed = scene.speed if config.speed == "auto" else config.speed
         faster = config.velocity_noise * (config.fast_velocity_noise if speed == "fast" else 1.0)
-        self._limits = scene.limits[0]
+        self._limits = scene.joint_limits
         self._dt_s = scene.dt_s
         self._measurement = np.tile((noise.measurement * config.measurement_noise) ** 2, scene.arms)
         process = np.stack([noise.value**2, (noise.velocity * faster) ** 2], axis=-1)

@@ -17,7 +17,7 @@ class NoFilter(Plugin):
 
     def reset(self, scene: Scene, state: FloatArray) -> None:
         """Start at ``state``, ``(9 * arms,)``."""
-        self._limits = scene.limits[0]
+        self._limits = scene.joint_limits
         self._state = clip_joints(state, self._limits)
 
     def predict(self) -> FloatArray:
