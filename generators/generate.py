@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import fcntl
 import hashlib
 import json
@@ -149,7 +150,8 @@ def plan_dataset(preset: Preset) -> Plan:
         }
     marker = {
         "format": FORMAT,
-        "preset": preset.model_dump(mode="json"),
+        # By name: the bytes must not depend on where an instrument file lies.
+        "preset": {**preset.model_dump(mode="json"), "instrument": instrument.name},
         "instrument_sha256": {path: hashlib.sha256(data).hexdigest() for path, data in files.items()},
     }
     return Plan(preset, instrument, sequences, marker, files)
@@ -177,11 +179,12 @@ def generate(
 
     Raises:
         ConfigError: The preset's workspace is too tight for its motion.
-        DatasetError: The folder holds something else, or another process is at work in it.
+        DatasetError: The folder holds something else or the same dataset with files missing, or another process is at
+            work in it.
         SurgbenchError: The disk lacks room, before or during the work, or a worker died.
     """
     _refuse_other_content(plan, out)
-    if _is_complete(plan, out):
+    if _is_complete(out):
         return False
     fresh = not out.exists() or not any(out.iterdir())
     done = {path for path in plan.paths if (out / path).is_file()} if out.is_dir() else set()
@@ -250,9 +253,19 @@ def _refuse_other_content(plan: Plan, out: Path) -> None:
             raise DatasetError(f"{path}: does not belong to this dataset; move it away, or choose another --out")
 
 
-def _is_complete(plan: Plan, out: Path) -> bool:
+def _is_complete(out: Path) -> bool:
+    """Whether the dataset was finished; raises if files of it are no longer there."""
     if not (out / MANIFEST_NAME).is_file():
         return False
+    manifest, _ = read_manifest(out)
+    for name, entry in manifest.files.items():
+        path = out / name
+        size = path.stat().st_size if path.is_file() else None
+        if size != entry.bytes:
+            state = "missing from" if size is None else f"{size} instead of {entry.bytes} bytes in"
+            raise DatasetError(
+                f"{path}: {state} a finished dataset; see 'surgbench validate {out}', or choose another --out"
+            )
     # Killed between the manifest and the last step.
     (out / MARKER_NAME).unlink(missing_ok=True)
     return True
@@ -263,8 +276,9 @@ def _check_disk(plan: Plan, out: Path, share_done: float, say: Callable[[str], N
     free = shutil.disk_usage(parent).free
     need = int(plan.disk_bytes * (1.0 - share_done))
     resumed = f", {share_done:.0%} of its files are there already" if share_done else ""
+    pairs = f"{len(plan.sequences)} {'pair' if len(plan.sequences) == 1 else 'pairs'} of trajectories"
     say(
-        f"{plan.preset.name}: {len(plan.sequences)} sequences of two arms, {plan.frames} frames, "
+        f"{plan.preset.name}: {pairs}, {plan.frames} frames, "
         f"about {plan.disk_bytes / 1e6:.0f} MB{resumed}; {free / 1e6:.0f} MB free"
     )
     if free < need:
@@ -295,25 +309,53 @@ def _remove_partial(out: Path) -> None:
 
 def _render_all(plan: Plan, out: Path, jobs: int, progress: Callable[[float], None]) -> None:
     """Write everything but the manifest; what is there whole stays."""
-    if jobs <= 1:
+    if jobs <= 1 and _ctrl_c_raises():
         worker = _Worker(plan, out, threads=None)
         for chunk in _chunks(plan, out):
             worker.render(chunk, progress)
         return
+    jobs = max(1, jobs)
     context = get_context("spawn")
-    with ProcessPoolExecutor(jobs, mp_context=context, initializer=_start_worker, initargs=(plan, out)) as pool:
+    # Without a lock, which a killed worker could take along.
+    stop = context.RawValue(ctypes.c_bool, False)
+    with ProcessPoolExecutor(jobs, mp_context=context, initializer=_start_worker, initargs=(plan, out, stop)) as pool:
         waiting: set[Future[int]] = set()
         try:
             for chunk in _chunks(plan, out):
                 # Few at a time, so that the states of a long dataset are not all held at once.
                 while len(waiting) >= 2 * jobs:
                     waiting = _collect(waiting, progress)
-                waiting.add(pool.submit(_render_chunk, chunk))
+                # Workers start in here, and keep the block.
+                with _without_ctrl_c():
+                    waiting.add(pool.submit(_render_chunk, chunk))
             while waiting:
                 waiting = _collect(waiting, progress)
         except BaseException:
+            stop.value = True
             pool.shutdown(wait=True, cancel_futures=True)
             raise
+
+
+def _ctrl_c_raises() -> bool:
+    """Whether Ctrl-C ends this thread's work with an exception; only then may it render.
+
+    Mitsuba catches the signal too, and hands back an unfinished image as if it were whole.
+    """
+    ignored = signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+    return threading.current_thread() is threading.main_thread() and not ignored
+
+
+@contextmanager
+def _without_ctrl_c() -> Iterator[None]:
+    """Hold Ctrl-C back until the end, from processes started meanwhile for good.
+
+    To ignore it is not enough for a worker: Mitsuba's own handler would leave the image in hand unfinished.
+    """
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _collect(waiting: set[Future[int]], progress: Callable[[float], None]) -> set[Future[int]]:
@@ -365,17 +407,21 @@ class _Worker:
         plan: The job.
         out: The dataset's folder.
         threads: Of Mitsuba; ``None`` leaves them as they are.
+        stop: Once true, no further frame is rendered.
     """
 
-    def __init__(self, plan: Plan, out: Path, threads: int | None) -> None:
+    def __init__(self, plan: Plan, out: Path, threads: int | None, stop: ctypes.c_bool | None = None) -> None:
         self.seed = plan.preset.seed
         self.settings: Corruption = plan.preset.corruption
         self.out = out
+        self._stop = stop
         self._renderers = {arm: MaskRenderer([plan.instrument], plan.preset.camera, threads) for arm in ARMS}
 
     def render(self, chunk: Chunk, progress: Callable[[float], None] = lambda frames: None) -> int:
         """Write a chunk's masks, those that are not there; returns its number of frames."""
         for offset, states in enumerate(chunk.states):
+            if self._stop is not None and self._stop.value:
+                return offset
             self._frame(chunk.entry.id, chunk.start + offset, states)
             progress(1)
         return len(chunk.states)
@@ -406,11 +452,15 @@ def _is_whole_png(path: Path) -> bool:
 _worker: _Worker | None = None
 
 
-def _start_worker(plan: Plan, out: Path) -> None:
-    """Prepare a worker process: it ends with its parent, also when that is killed."""
+def _start_worker(plan: Plan, out: Path, stop: ctypes.c_bool) -> None:
+    """Prepare a worker process: it ends with its parent, also when that is killed.
+
+    Args:
+        plan: The job.
+        out: The dataset's folder.
+        stop: Shared; once true, the worker renders nothing after the frame in hand.
+    """
     global _worker
-    # Ctrl-C reaches the whole group; the parent stops the workers after the chunk in hand.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = parent_process()
     if parent is not None:
         sentinel = parent.sentinel
@@ -420,7 +470,7 @@ def _start_worker(plan: Plan, out: Path) -> None:
             os._exit(1)
 
         threading.Thread(target=follow, daemon=True).start()
-    _worker = _Worker(plan, out, threads=1)
+    _worker = _Worker(plan, out, threads=1, stop=stop)
 
 
 def _render_chunk(chunk: Chunk) -> int:

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from surgbench.camera import Camera
-from surgbench.config import locate, parse_model, read_yaml
+from surgbench.config import SUFFIXES, locate, parse_model, read_yaml
 from surgbench.errors import ConfigError, unknown_name
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -225,7 +225,7 @@ class Preset(Section):
         frames: Per sequence.
         dt_s: Seconds between frames.
         camera: Intrinsics.
-        instrument: Built-in name or instrument file, for both arms.
+        instrument: Built-in name or instrument file, for both arms. In a preset file, a path is relative to it.
         motion: How the instruments move.
         workspace: Where they move.
         corruption: Settings, or a level: published, strong, none.
@@ -290,6 +290,8 @@ def load_preset(
     given = {key: value for key, value in overrides.items() if value is not None}
     path = locate("presets", "preset", name_or_path)
     preset = _parse(read_yaml(path, "preset"), str(path))
+    if "/" in preset.instrument or preset.instrument.lower().endswith(SUFFIXES):
+        preset = preset.model_copy(update={"instrument": str(path.parent.absolute() / preset.instrument)})
     if not given:
         return preset
     names = {"pairs": "--sequences"}

@@ -33,7 +33,7 @@ from surgbench.generators.presets import (
 from surgbench.generators.render import MaskRenderer, visible_box
 from surgbench.generators.trajectories import make_pair
 from surgbench.geometry import FloatArray
-from surgbench.instrument import Instrument, load_instrument
+from surgbench.instrument import Instrument, load_instrument, save_instrument
 from surgbench.randomness import generator
 from surgbench.silhouette import SilhouetteEvaluator
 from surgbench.state import JOINTS, POSITION
@@ -292,6 +292,22 @@ def test_a_wrong_preset_file_is_one_line_that_names_file_and_key(tmp_path: Path,
     assert "\n" not in line
 
 
+def test_an_instrument_file_is_found_beside_the_preset(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    plans = []
+    for name in ("a", "b"):
+        folder = tmp_path / name
+        save_instrument(load_instrument("large_needle_driver"), folder / "own")
+        (folder / "preset.yaml").write_text(HEAD + "instrument: own/instrument.yaml\n")
+        plans.append(plan_dataset(load_preset(f"{name}/preset.yaml", seed=3)))
+    assert plans[0].instrument.name == "large_needle_driver"
+    # Wherever it lies, it is the same dataset.
+    assert plans[0].marker == plans[1].marker
+    (tmp_path / "a" / "own" / "instrument.yaml").unlink()
+    with pytest.raises(ConfigError, match=r"a/own/instrument\.yaml: instrument file cannot be read"):
+        plan_dataset(load_preset("a/preset.yaml"))
+
+
 def test_unknown_and_missing_presets() -> None:
     with pytest.raises(NotFoundError, match="unknown preset 'mni'; did you mean 'mini'"):
         load_preset("mni")
@@ -394,6 +410,45 @@ def test_killed_and_started_again_gives_the_same_bytes(tmp_path: Path) -> None:
     assert validate(killed) == []
 
 
+def test_ctrl_c_with_workers_leaves_no_wrong_mask(tmp_path: Path) -> None:
+    (tmp_path / "preset.yaml").write_text("name: few\npairs: 1\nframes: 32\n")
+    plan = plan_dataset(load_preset(tmp_path / "preset.yaml"))
+    out = tmp_path / "interrupted"
+    command = [sys.executable, "-c", "import surgbench.cli; surgbench.cli.main()", "generate"]
+    for _ in range(3):
+        before = len(list(out.rglob("*.png")))
+        process = subprocess.Popen(
+            [*command, str(tmp_path / "preset.yaml"), "--out", str(out), "--jobs", "2"],
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+        )
+        deadline = time.monotonic() + 60
+        while len(list(out.rglob("*.png"))) < before + 9 and time.monotonic() < deadline and process.poll() is None:
+            time.sleep(0.005)
+        os.killpg(process.pid, signal.SIGINT)
+        # Ends only when no process holds the pipe any more, a worker left behind neither.
+        _, said = process.communicate(timeout=5)
+        assert process.returncode == 130
+        assert "Traceback" not in said
+        assert not (out / "dataset.json").exists()
+    assert generate(plan, out)
+    assert generate(plan, tmp_path / "undisturbed")
+    assert contents(out) == contents(tmp_path / "undisturbed")
+
+
+def test_where_ctrl_c_is_ignored_one_job_renders_in_a_worker(
+    made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module._Worker, "render", None)
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        assert generate(plan_dataset(FEW), tmp_path / "out")
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert contents(tmp_path / "out") == contents(made)
+
+
 def test_a_crash_after_some_frames_is_resumed_without_rendering_them_again(
     made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -429,6 +484,26 @@ def test_complete_already(made: Path, tmp_path: Path) -> None:
     (made / "generating.json").write_text("{}")
     assert generate(plan_dataset(FEW), made) is False
     assert contents(made) == before
+
+
+@pytest.mark.parametrize("cut", [False, True])
+def test_a_finished_dataset_that_lost_a_file_is_not_complete(made: Path, tmp_path: Path, cut: bool) -> None:
+    out = tmp_path / "out"
+    shutil.copytree(made, out)
+    lost = out / "sequences/001/observed/left/000001.png"
+    if cut:
+        lost.write_bytes(lost.read_bytes()[:-1])
+    else:
+        lost.unlink()
+    message = refused(FEW, out)
+    assert message.startswith(f"{lost}: ")
+    assert message.endswith(f"see 'surgbench validate {out}', or choose another --out")
+
+
+def test_one_pair_is_said_in_the_singular(tmp_path: Path) -> None:
+    said: list[str] = []
+    module._check_disk(plan_dataset(FEW.model_copy(update={"pairs": 1})), tmp_path, 0.0, said.append)
+    assert said[0].startswith("few: 1 pair of trajectories, 3 frames, ")
 
 
 def refused(plan: Preset, out: Path) -> str:
@@ -472,7 +547,7 @@ def test_it_says_how_much_and_refuses_a_disk_that_lacks_it(tmp_path: Path, monke
     plan = plan_dataset(load_preset("paper"))
     with pytest.raises(SurgbenchError, match=r"^[^\n]*the disk has 0 MB free but \d+ MB are needed[^\n]*$"):
         generate(plan, out, say=said.append)
-    assert said[0].startswith("paper: 16 sequences of two arms, 16000 frames, about ")
+    assert said[0].startswith("paper: 16 pairs of trajectories, 16000 frames, about ")
     assert not (tmp_path / "deep").exists()
 
 

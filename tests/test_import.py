@@ -208,6 +208,8 @@ def truncate(name: str) -> Callable[[Path], Any]:
             put("camera.json", json.dumps({**CAMERA, "distortion": [0.1]})),
             "camera.json: 'distortion' must have 4, 5, 8",
         ),
+        (remove("masks/000000.png"), "masks/000000.png: the mask of frame 0 is missing; every image needs one"),
+        (remove("masks/000002.png"), "masks/000002.png: the mask of frame 2 is missing; every image needs one"),
         (remove("images/000002.png"), "images: the image of frame 2 is missing"),
         (lambda s: write_png(s / "images/000001.png", np.zeros((29, 40, 3), np.uint8)), "000001.png: is 40x29 pixels"),
         (
