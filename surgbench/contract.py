@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Protocol, runtime_checkable
+from typing import ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -214,6 +214,3 @@ class KeypointSource(Protocol):
     def detect(self, observation: Observation, view: View) -> tuple[FloatArray | None, ...]:
         """Per arm ``(2, 2)`` pixels, or ``None`` where not exactly two tips were found."""
         ...
-
-
-Options = dict[str, Any]

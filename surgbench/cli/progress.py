@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from threading import Lock
 from typing import Protocol
@@ -91,6 +91,3 @@ def progress(description: str, total: float) -> Iterator[Bar]:
                     bars.update(stages[description], completed=round(100 * fraction), visible=fraction < 1)
 
         yield RichBar()
-
-
-Advance = Callable[[float], None]

@@ -42,6 +42,7 @@ class UnitData:
         self._keypoints = [self.sequence.keypoints(arm) for arm in unit.arms]
         self.truth = self._stack([self.sequence.states(arm) for arm in unit.arms])
         self._joints = self._joint_readings(readings)
+        self._limits = self.scene().joint_limits
 
     @staticmethod
     def _stack(per_arm: list[FloatArray | None]) -> FloatArray | None:
@@ -81,9 +82,8 @@ class UnitData:
         image = no_image if path is None else partial(read_image, path, self.camera.width, self.camera.height)
         joints = None
         if self._joints is not None and not np.isnan(self._joints[frame]).any():
-            limits = [instrument.search_limits for instrument in self.instruments]
-            clipped = [box.clip(arm) for box, arm in zip(limits, self._joints[frame], strict=True)]
-            joints = clipped[0] if len(clipped) == 1 else np.stack(clipped)
+            clipped = self._limits.clip(self._joints[frame])
+            joints = clipped[0] if len(clipped) == 1 else clipped
         return Observation(
             index=frame,
             timestamp_s=float(self.sequence.timestamps_s[frame]),
@@ -161,8 +161,9 @@ def execute(
             mask = data.sequence.mask(job.unit.kind, frame)
             observation = data.observation(frame, mask)
             if frame == 0:
-                shown = data.truth is not None and job.settings.initialiser.needs_truth
-                truth = data.truth[0].reshape(-1) if shown and data.truth is not None else None
+                truth = None
+                if data.truth is not None and job.settings.initialiser.needs_truth:
+                    truth = data.truth[0].reshape(-1)
                 child.send("first", observation, truth)
                 while (message := child.receive())[0] == "progress":
                     initialising(message[1])
