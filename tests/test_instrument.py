@@ -21,7 +21,7 @@ from surgbench.errors import ConfigError, NotFoundError
 from surgbench.files import sha256_file
 from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument, load_instrument, save_instrument
-from surgbench.instrument.meshes import edge_defects, signed_volume
+from surgbench.instrument.meshes import check_mesh, edge_defects, signed_volume
 from surgbench.instrument.model import LinkMesh
 from surgbench.instrument.shapes import loft_mesh
 from surgbench.instrument.spec import Loft, Section
@@ -420,15 +420,77 @@ def test_open_mesh_is_refused_with_the_way_to_mend_it(tmp_path: Path) -> None:
 def test_inconsistent_winding_is_refused(tmp_path: Path) -> None:
     box = trimesh.creation.box([0.01] * 3)
     box.faces[0] = box.faces[0][::-1]
-    with pytest.raises(ConfigError, match="3 whose faces turn opposite ways"):
+    with pytest.raises(ConfigError, match="3 edges whose faces turn opposite ways"):
         load_instrument(write_instrument(tmp_path, trimesh.Trimesh(box.vertices, box.faces, process=False), "body.ply"))
 
 
-def test_flat_mesh_is_refused(tmp_path: Path) -> None:
-    corners = np.array([[0, 0, 0], [0.01, 0, 0], [0, 0.01, 0]])
-    sheet = trimesh.Trimesh(corners, np.array([[0, 1, 2], [0, 2, 1]]), process=False)
-    with pytest.raises(ConfigError, match="without volume"):
-        load_instrument(write_instrument(tmp_path, sheet, "body.ply"))
+BOX = trimesh.creation.box([0.01] * 3)
+FLAT = [[0.2, 0.2, 0.3], [0.3, 0.2, 0.1], [0.2, 0.37, 0.7]]
+
+
+@pytest.mark.parametrize(
+    ("points", "triangles", "told"),
+    [
+        ([], BOX.faces[:1], r"not closed \(3 edges with more than two faces\); set 'close_holes: true'"),
+        ([], BOX.faces, r"not closed \(18 edges with more than two faces\); set 'close_holes: true'"),
+        (
+            [[0.02, 0.03, 0]],
+            [[0, 1, 8]],
+            r"not closed \(2 open edges, 1 edge with more than two faces\); set 'close_ho",
+        ),
+        (FLAT, [[8, 9, 10]], r"not closed \(3 open edges\); set 'close_holes: true'"),
+        (FLAT, [[8, 9, 10], [8, 10, 9]], r"part without volume \(2 triangles about .* m .*\); delete it or"),
+        ([[1, 1, 1], [2, 2, 2], [4, 4, 4]], [[8, 9, 10], [8, 10, 9]], r"without volume \(2 .*; delete it or"),
+    ],
+    ids=["a face twice", "all faces twice", "a fin", "an open part far away", "a flat part", "a part without area"],
+)
+@pytest.mark.parametrize("kind", ["stl", "ply"])
+def test_a_box_with_something_wrong_is_refused(
+    tmp_path: Path, kind: str, points: list[list[float]], triangles: Any, told: str
+) -> None:
+    vertices = np.concatenate([BOX.vertices, np.reshape(points, (-1, 3))])
+    wrong = trimesh.Trimesh(vertices, np.concatenate([BOX.faces, triangles]), process=False)
+    with pytest.raises(ConfigError, match=rf"body\.{kind}: mesh of link 'body' .*{told}") as caught:
+        load_instrument(write_instrument(tmp_path, wrong, f"body.{kind}"))
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("faces", "told"),
+    [
+        (BOX.faces[1:], r"not closed \(3 open edges\); mend it, .* 'close_holes: true'"),
+        (np.concatenate([BOX.faces, BOX.faces[:1]]), r"not closed \(3 edges with more than two faces\); mend it"),
+        (
+            np.concatenate([BOX.faces[:1, ::-1], BOX.faces[1:]]),
+            r"not closed \(3 edges whose faces turn opposite ways\); mend it",
+        ),
+        (np.concatenate([BOX.faces, [[0, 0, 1]]]), r"not closed \(1 open edge, 1 edge with more"),
+        (BOX.faces + 1, r"other vertices than its 8"),
+        (BOX.faces - 1, r"other vertices than its 8"),
+    ],
+)
+def test_a_mesh_given_in_python_is_checked_as_well(faces: Any, told: str) -> None:
+    with pytest.raises(ValueError, match=rf"^mesh of link 'wrist' .*{told}"):
+        check_mesh("wrist", LinkMesh(BOX.vertices, faces.astype(np.int32)))
+
+
+def test_a_mesh_given_in_python_may_touch_itself_but_not_be_without_place() -> None:
+    two: Any = trimesh.util.concatenate([BOX, BOX.copy().apply_translation([0.01, 0.01, 0])])
+    two.merge_vertices()
+    faces = two.faces.astype(np.int32)
+    assert edge_defects(faces).crowded == 1
+    check_mesh("wrist", LinkMesh(two.vertices, faces))
+    with pytest.raises(ValueError, match="'wrist' has vertices that are not finite"):
+        check_mesh("wrist", LinkMesh(two.vertices * np.nan, faces))
+
+
+def test_an_inward_part_that_touches_another_in_a_corner_is_turned(tmp_path: Path) -> None:
+    """An STL file merges the corner, so that the two hang together by it; edges they do not share."""
+    faces = np.concatenate([BOX.faces, BOX.faces[:, ::-1] + 8])
+    both = trimesh.Trimesh(np.concatenate([BOX.vertices, BOX.vertices + 0.01]), faces, process=False)
+    mesh = load_instrument(write_instrument(tmp_path, both)).meshes["body"]
+    assert len(mesh.vertices_m) == 15
+    assert signed_volume(mesh.vertices_m, mesh.faces) == pytest.approx(2e-6, rel=1e-4)
 
 
 @pytest.mark.parametrize(("name", "data"), [("body.stl", b"solid nothing"), ("body.ply", b"ply\n"), ("body.obj", b"")])
@@ -477,7 +539,7 @@ def test_parts_that_touch_along_an_edge_are_set_apart(tmp_path: Path) -> None:
     second.apply_translation([0.01, 0.01, 0])
     both = trimesh.util.concatenate([first, second])
     assert isinstance(both, trimesh.Trimesh)
-    with pytest.raises(ConfigError, match="1 with more than two faces"):
+    with pytest.raises(ConfigError, match="1 edge with more than two faces"):
         load_instrument(write_instrument(tmp_path, both))
     mesh = load_instrument(write_instrument(tmp_path, both, close_holes=True)).meshes["body"]
     assert edge_defects(mesh.faces).closed

@@ -15,7 +15,7 @@ from surgbench.camera import Camera
 from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument, load_instrument
 from surgbench.silhouette import Reference, SilhouetteEvaluator
-from surgbench.silhouette.evaluator import NEAR_M
+from surgbench.silhouette.layout import NEAR_M
 
 
 def clip_to_near(polygon: FloatArray) -> FloatArray:
@@ -175,7 +175,7 @@ def test_score_does_not_depend_on_the_batch(small_camera: Camera) -> None:
 def test_an_open_mesh_is_refused(small_camera: Camera) -> None:
     box = trimesh.creation.box((0.02, 0.02, 0.02))
     box.update_faces(np.arange(len(box.faces)) > 0)
-    with pytest.raises(ValueError, match="not closed"):
+    with pytest.raises(ValueError, match=r"mesh of link .body. is not closed \(3 open edges\); mend it"):
         SilhouetteEvaluator([rigid_instrument(box)], small_camera)
 
 

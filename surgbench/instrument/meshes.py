@@ -28,16 +28,27 @@ class EdgeDefects:
         open: Edges with a face on one side only.
         crowded: Edges shared by more than two faces.
         twisted: Edges whose two faces turn opposite ways.
+        unpaired: Edges of any of these kinds that do not have as many faces running along them one way as the other.
     """
 
     open: int
     crowded: int
     twisted: int
+    unpaired: int
 
     @property
     def closed(self) -> bool:
         """Whether every edge is shared by exactly two faces that are oriented alike."""
         return not (self.open or self.crowded or self.twisted)
+
+    def __str__(self) -> str:
+        """What is wrong: ``2 open edges, 1 edge with more than two faces``."""
+        counts = {
+            "open edge{}": self.open,
+            "edge{} with more than two faces": self.crowded,
+            "edge{} whose faces turn opposite ways": self.twisted,
+        }
+        return ", ".join(f"{n} {kind.format('s' if n > 1 else '')}" for kind, n in counts.items() if n)
 
 
 def edge_defects(faces: Faces) -> EdgeDefects:
@@ -46,14 +57,42 @@ def edge_defects(faces: Faces) -> EdgeDefects:
     Args:
         faces: ``(F, 3)`` vertex indices.
     """
-    edges = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    _, inverse, uses = np.unique(np.sort(edges, axis=1), axis=0, return_inverse=True, return_counts=True)
-    forward = np.bincount(inverse.ravel(), weights=edges[:, 0] < edges[:, 1], minlength=len(uses))
+    start, end = faces.astype(np.int64).ravel(), faces[:, [1, 2, 0]].astype(np.int64).ravel()
+    # One number an edge: numpy finds equal numbers much faster than equal rows.
+    codes = np.minimum(start, end) * (start.max(initial=0) + 1) + np.maximum(start, end)
+    _, inverse, uses = np.unique(codes, return_inverse=True, return_counts=True)
+    forward = np.bincount(inverse, weights=start < end, minlength=len(uses))
     return EdgeDefects(
         open=int((uses == 1).sum()),
         crowded=int((uses > 2).sum()),
         twisted=int(((uses == 2) & (forward != 1)).sum()),
+        unpaired=int((2 * forward != uses).sum()),
     )
+
+
+def check_mesh(link: str, mesh: LinkMesh) -> None:
+    """Refuse a mesh given in Python whose silhouette is not defined.
+
+    Edges of four faces are let through where closed parts touch in them.
+
+    Args:
+        link: Name for the message.
+        mesh: The link's body.
+
+    Raises:
+        ValueError: The mesh is not closed, refers to vertices it lacks, or has vertices that are not finite.
+    """
+    if not np.isfinite(mesh.vertices_m).all():
+        raise ValueError(f"mesh of link '{link}' has vertices that are not finite numbers")
+    count = len(mesh.vertices_m)
+    if mesh.faces.min(initial=0) < 0 or mesh.faces.max(initial=-1) >= count:
+        raise ValueError(f"mesh of link '{link}' has faces of other vertices than its {count} (numbered from 0)")
+    defects = edge_defects(mesh.faces)
+    if defects.unpaired:
+        raise ValueError(
+            f"mesh of link '{link}' is not closed ({defects}); mend it, for example with trimesh's merge_vertices, "
+            "fill_holes and fix_normals, or load it from a file with 'close_holes: true' in the instrument file"
+        )
 
 
 def signed_volume(vertices_m: FloatArray, faces: Faces) -> float:
@@ -95,14 +134,11 @@ def load_mesh(entry: MeshFile, folder: Path, link: str) -> LinkMesh:
         raise ConfigError(f"{path}: mesh of link '{link}' has no triangles")
     if not defects.closed:
         hint = (
-            "closing holes and reducing triangles left it so; mend it in a mesh editor"
+            "'close_holes' left it so: delete stray faces and fill the holes in a mesh editor"
             if entry.close_holes
             else f"set 'close_holes: true' under 'mesh' of link '{link}' in the instrument file"
         )
-        counts = f"{defects.open} open edges"
-        if defects.crowded or defects.twisted:
-            counts += f", {defects.crowded} with more than two faces, {defects.twisted} whose faces turn opposite ways"
-        raise ConfigError(f"{path}: mesh of link '{link}' is not closed ({counts}); {hint}")
+        raise ConfigError(f"{path}: mesh of link '{link}' is not closed ({defects}); {hint}")
     faces = _outward(vertices, faces, path, link)
     return LinkMesh(vertices, faces)
 
@@ -146,21 +182,29 @@ def _merge(vertices: FloatArray, faces: Faces) -> tuple[FloatArray, Faces]:
 
 
 def _outward(vertices: FloatArray, faces: Faces, path: Path, link: str) -> Faces:
-    """Turn each part that faces inward; a part is what hangs together by vertices."""
+    """Turn each part of a closed mesh that faces inward; a part is what hangs together by edges."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
-    count = len(vertices)
-    pairs = faces[:, [0, 1, 1, 2]].reshape(-1, 2)
-    graph = coo_array((np.ones(len(pairs), np.int8), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
-    _, part_of_vertex = connected_components(graph, directed=False)
+    edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    # Each edge has two faces: sorted by edge, every two owners are neighbours.
+    neighbours = (np.lexsort(edges.T) // 3).reshape(-1, 2).T
+    graph = coo_array((np.ones(neighbours.shape[1], np.int8), tuple(neighbours)), shape=(len(faces),) * 2)
+    parts, part_of_face = connected_components(graph, directed=False)
     turned = faces.copy()
-    for part in np.unique(part_of_vertex[faces[:, 0]]):
-        mine = part_of_vertex[faces[:, 0]] == part
+    for part in range(parts):
+        mine = part_of_face == part
+        corners = vertices[faces[mine]]
         # About the part's own middle, so that rounding does not decide the sign for a part far from the origin.
-        volume = signed_volume(vertices - vertices[faces[mine]].mean(axis=(0, 1)), faces[mine])
-        if volume == 0:
-            raise ConfigError(f"{path}: mesh of link '{link}' has a part without volume")
+        centre = corners.mean(axis=(0, 1))
+        volume = signed_volume(vertices - centre, faces[mine])
+        size = np.linalg.norm(np.ptp(corners, axis=(0, 1)))
+        if abs(volume) <= 1e-12 * size**3:  # nothing but rounding
+            x, y, z = centre
+            raise ConfigError(
+                f"{path}: mesh of link '{link}' has a part without volume ({mine.sum()} triangles about "
+                f"({x:.4g}, {y:.4g}, {z:.4g}) m in the link's frame); delete it or give it thickness in a mesh editor"
+            )
         if volume < 0:
             turned[mine] = faces[mine][:, ::-1]
     return turned

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -13,64 +15,10 @@ from surgbench.contract import Mask
 from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument
 from surgbench.silhouette import kernel
+from surgbench.silhouette.contour import contour_scratch
+from surgbench.silhouette.layout import NEAR_M, assemble, lens
+from surgbench.silhouette.spans import rows_scratch
 from surgbench.state import STATE_SIZE
-
-# Surfaces nearer to the camera plane than this are not seen.
-NEAR_M = 1e-3
-
-
-class _Links(NamedTuple):
-    parent: NDArray[np.int32]  # (L,), -1 for the first link of an arm
-    arm: NDArray[np.int32]  # (L,)
-    fixed: FloatArray  # (L, 3, 4)
-    offset: FloatArray  # (L,)
-    gain: FloatArray  # (L, 3)
-    vertex_start: NDArray[np.int32]  # (L + 1,)
-    face_start: NDArray[np.int32]  # (L + 1,)
-    edge_start: NDArray[np.int32]  # (L + 1,)
-
-
-class _Mesh(NamedTuple):
-    x: FloatArray  # (V,) vertices in their links' frames
-    y: FloatArray
-    z: FloatArray
-    vertex_link: NDArray[np.int32]  # (V,)
-    faces: NDArray[np.int32]  # (F, 3)
-    nx: FloatArray  # (F,) outward normals; the plane is n . p = offset
-    ny: FloatArray
-    nz: FloatArray
-    offset: FloatArray
-    edge_start: NDArray[np.int32]  # (E,) directed as in edge_face0
-    edge_end: NDArray[np.int32]
-    edge_face0: NDArray[np.int32]
-    edge_face1: NDArray[np.int32]
-
-
-class _Lens(NamedTuple):
-    width: int
-    height: int
-    fx: float
-    fy: float
-    cx: float
-    cy: float
-    near: float
-
-
-class _Work(NamedTuple):
-    u: FloatArray  # (V,)
-    v: FloatArray
-    z: FloatArray
-    back: NDArray[np.bool_]  # (F,)
-    found: NDArray[np.int32]  # (E,) edges of a link's contour
-    edge_u: FloatArray  # (E + F,) contour edges: upper end, ...
-    edge_v: FloatArray
-    edge_slope: FloatArray  # ... columns per row, ...
-    edge_last: NDArray[np.int32]  # ... row before which it ends, ...
-    edge_entry: NDArray[np.int64]  # ... direction and index, as in the active list, ...
-    edge_next: NDArray[np.int32]  # ... and the next edge that begins at the same row, or -1
-    row_first: NDArray[np.int32]  # (H,) first edge that begins at the row, or -1
-    active: NDArray[np.int64]  # (E + F,) edges that cross the row in work, from left to right
-    spans: NDArray[np.int64]  # (E + F, 2) covered columns of the row in work, begin and end
 
 
 class RowSums:
@@ -121,17 +69,10 @@ class Score(NamedTuple):
         return np.where(union > 0, self.overlap / np.maximum(union, 1), 1.0)
 
 
-def _edges(faces: NDArray[np.int32]) -> tuple[NDArray[np.int32], ...]:
-    """Pair the directed edges of closed meshes: start, end, face along it, face against it."""
-    directed = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    owner = np.tile(np.arange(len(faces), dtype=np.int32), 3)
-    is_forward = directed[:, 0] < directed[:, 1]
-    low, high = directed.min(axis=1), directed.max(axis=1)
-    order = np.lexsort((high, low))
-    along, against = order[is_forward[order]], order[~is_forward[order]]
-    if len(along) != len(against) or not np.array_equal(directed[along], directed[against][:, ::-1]):
-        raise ValueError("mesh is not closed: an edge is not shared by two consistently oriented faces")
-    return directed[along, 0], directed[along, 1], owner[along], owner[against]
+@lru_cache(maxsize=8)
+def _helpers(threads: int) -> ThreadPoolExecutor:
+    """The threads beside the calling one; shared by all evaluators of the process."""
+    return ThreadPoolExecutor(threads - 1, thread_name_prefix="silhouette")
 
 
 class SilhouetteEvaluator:
@@ -144,41 +85,40 @@ class SilhouetteEvaluator:
         instruments: One per arm; states have ``9 * len(instruments)`` components.
         camera: The view.
         near_m: Surfaces nearer to the camera plane are not seen.
+        threads: How many threads share a batch. The counts are the same for any number.
 
     Raises:
-        ValueError: A link's mesh is not closed.
+        ValueError: A link's mesh is not closed, or there is no thread.
     """
 
-    def __init__(self, instruments: Sequence[Instrument], camera: Camera, near_m: float = NEAR_M) -> None:
+    def __init__(
+        self, instruments: Sequence[Instrument], camera: Camera, near_m: float = NEAR_M, threads: int = 1
+    ) -> None:
+        if threads < 1:
+            raise ValueError(f"threads must be at least 1, got {threads}")
         self.instruments = tuple(instruments)
         self.camera = camera
-        self._lens = _Lens(camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy, near_m)
-        self._links, self._mesh = _assemble(self.instruments)
-        self._work = self._scratch()
+        self.threads = threads
+        self._lens = lens(camera, near_m)
+        self._links, self._bodies, self._mesh = assemble(self.instruments)
+        self._contours = [contour_scratch(self._links, self._bodies, self._mesh) for _ in range(threads)]
+        self._make_room(None)
+
+    def _make_room(self, layers: int | None) -> None:
+        self._rows = [rows_scratch(self._bodies, self._mesh, self.camera.height, layers) for _ in self._contours]
+
+    def _fits(self, layers: int) -> bool:
+        """Whether there was room for so many spans in a row; if not, makes room for twice as many."""
+        room = len(self._rows[0].merged)
+        if layers < room - 1:
+            return True
+        self._make_room(2 * room)
+        return False
 
     @property
     def triangles(self) -> int:
         """Number of triangles of all arms."""
         return len(self._mesh.faces)
-
-    def _scratch(self) -> _Work:
-        vertices, faces, edges = len(self._mesh.x), len(self._mesh.faces), len(self._mesh.edge_start)
-        # Each edge of the mesh is in the contour at most once, and each face adds at most one at the near plane.
-        most = edges + faces
-        u, v, z = np.empty((3, vertices))
-        edge_u, edge_v, edge_slope = np.empty((3, most))
-        return _Work(
-            u=u, v=v, z=z,
-            back=np.zeros(faces, bool),
-            found=np.empty(edges + 1, np.int32),
-            edge_u=edge_u, edge_v=edge_v, edge_slope=edge_slope,
-            edge_last=np.empty(most, np.int32),
-            edge_entry=np.empty(most, np.int64),
-            edge_next=np.empty(most, np.int32),
-            row_first=np.full(self.camera.height, -1, np.int32),
-            active=np.empty(most, np.int64),
-            spans=np.empty((most, 2), np.int64),
-        )  # fmt: skip
 
     def _states(self, states: ArrayLike, ndim: int) -> FloatArray:
         array = np.ascontiguousarray(states, dtype=np.float64)
@@ -220,60 +160,29 @@ class SilhouetteEvaluator:
             height, width = sums.prefix.shape
             expected = f"{self.camera.width} x {self.camera.height}"
             raise ValueError(f"the image is {width - 1} x {height}, the camera {expected}")
-        result = np.empty(len(batch), np.int64), np.empty(len(batch), np.int64)
-        kernel.score(batch, self._links, self._mesh, self._lens, self._work, sums.prefix, *result)
-        return result
+        counts = np.empty((2, len(batch)), np.int64)
+        while not self._fits(self._score(batch, sums, counts)):
+            pass
+        return counts[0], counts[1]
+
+    def _score(self, batch: FloatArray, sums: RowSums, counts: NDArray[np.int64]) -> int:
+        taken = np.zeros(len(batch), bool)
+        fixed = self._links, self._bodies, self._mesh, self._lens
+
+        def work(thread: int) -> int:
+            scratch = self._contours[thread], self._rows[thread]
+            return int(kernel.score(batch, *fixed, *scratch, sums.prefix, counts, taken, thread, self.threads))
+
+        if self.threads == 1:
+            return work(0)
+        helpers = [_helpers(self.threads).submit(work, thread) for thread in range(1, self.threads)]
+        return max([work(0), *(helper.result() for helper in helpers)])
 
     def mask(self, state: ArrayLike) -> Mask:
         """Silhouette of one state ``(9 * arms,)`` as an ``(H, W)`` bool image."""
         one = self._states(state, 1)
         image = np.zeros((self.camera.height, self.camera.width), dtype=bool)
-        kernel.paint(one, self._links, self._mesh, self._lens, self._work, image)
+        fixed = self._links, self._bodies, self._mesh, self._lens
+        while not self._fits(kernel.paint(one, *fixed, self._contours[0], self._rows[0], image)):
+            image[:] = False
         return image
-
-
-def _assemble(instruments: tuple[Instrument, ...]) -> tuple[_Links, _Mesh]:
-    """Lay the links and meshes of all arms end to end."""
-    parents: list[NDArray[np.int32]] = []
-    vertices: list[FloatArray] = []
-    faces: list[NDArray[np.int32]] = []
-    vertex_start, face_start = [0], [0]
-    for instrument in instruments:
-        first_link = len(vertices)
-        parents.append(np.where(instrument.parents < 0, -1, instrument.parents + first_link).astype(np.int32))
-        for link in instrument.spec.links:
-            body = instrument.meshes.get(link.name)
-            link_vertices = np.empty((0, 3)) if body is None else body.vertices_m
-            link_faces = np.empty((0, 3), np.int32) if body is None else body.faces
-            vertices.append(link_vertices)
-            faces.append(link_faces + np.int32(vertex_start[-1]))
-            vertex_start.append(vertex_start[-1] + len(link_vertices))
-            face_start.append(face_start[-1] + len(link_faces))
-    points, triangles = np.concatenate(vertices), np.concatenate(faces).astype(np.int32)
-    start, end, along, against = _edges(triangles)
-    # Closed links share no edge, so that edges sorted by face stay together with their link.
-    order = np.argsort(along, kind="stable")
-    start, end, along, against = start[order], end[order], along[order], against[order]
-    links = _Links(
-        parent=np.concatenate(parents),
-        arm=np.repeat(np.arange(len(instruments), dtype=np.int32), [len(i.spec.links) for i in instruments]),
-        fixed=np.ascontiguousarray(np.concatenate([i.fixed_transforms for i in instruments])[:, :3, :]),
-        offset=np.concatenate([i.theta_offsets_rad for i in instruments]),
-        gain=np.concatenate([i.theta_gains for i in instruments]),
-        vertex_start=np.array(vertex_start, np.int32),
-        face_start=np.array(face_start, np.int32),
-        edge_start=np.searchsorted(along, face_start).astype(np.int32),
-    )
-    corners = points[triangles]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    x, y, z = (np.ascontiguousarray(column) for column in points.T)
-    nx, ny, nz = (np.ascontiguousarray(column) for column in normals.T)
-    mesh = _Mesh(
-        x=x, y=y, z=z,
-        vertex_link=np.repeat(np.arange(len(vertices), dtype=np.int32), [len(v) for v in vertices]),
-        faces=triangles,
-        nx=nx, ny=ny, nz=nz,
-        offset=np.einsum("fi,fi->f", normals, corners[:, 0]),
-        edge_start=start, edge_end=end, edge_face0=along, edge_face1=against,
-    )  # fmt: skip
-    return links, mesh
