@@ -12,6 +12,7 @@ from typing import Annotated
 import typer
 
 from surgbench import __version__
+from surgbench.cli.bench import bench_app
 from surgbench.cli.generate import generate
 from surgbench.cli.import_ import masks
 from surgbench.cli.list_ import list_names
@@ -61,6 +62,7 @@ app.command("run")(run)
 app.command("report")(report)
 app.command("video")(video)
 app.command("list")(list_names)
+app.add_typer(bench_app, name="bench")
 
 
 @import_app.callback()

@@ -1,0 +1,168 @@
+"""Mitsuba: its scalar variant, and its LLVM variant where there is an LLVM that it can live with."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import Any, ClassVar
+
+import numpy as np
+
+from surgbench.bench.peers.base import Peer
+from surgbench.bench.peers.body import Body
+from surgbench.camera import Camera
+from surgbench.contract import Mask
+from surgbench.geometry import FloatArray
+from surgbench.instrument import Instrument
+from surgbench.silhouette.layout import NEAR_M
+
+# LLVM 15 and 16 load and then kill the process: "Cannot select: f32 = fmaximum".
+OLDEST_LLVM = 17
+FAR_M = 10.0
+
+
+class _Mitsuba(Peer):
+    """The parts stay in their own frames; only their transforms change from state to state."""
+
+    module: ClassVar[str] = "mitsuba"
+    system: ClassVar[str] = "on Debian and Ubuntu: apt-get install libatomic1"
+    variant: ClassVar[str]
+
+    def prepare(self, instrument: Instrument, camera: Camera) -> None:
+        """Build the scene."""
+        import drjit
+        import mitsuba
+
+        super().prepare(instrument, camera)
+        mitsuba.set_variant(self.variant)
+        drjit.set_thread_count(1)
+        self._mi: Any = mitsuba
+        self._body = Body(instrument)
+        self._names = {name: instrument.link_index[name] for name in instrument.meshes}
+        scene: dict[str, Any] = {"type": "scene", **self._view()}
+        for name, link in instrument.meshes.items():
+            mesh = mitsuba.Mesh(name, len(link.vertices_m), len(link.faces))
+            parameters = mitsuba.traverse(mesh)
+            parameters["vertex_positions"] = link.vertices_m.astype(np.float32).ravel()
+            parameters["faces"] = link.faces.astype(np.uint32).ravel()
+            parameters.update()
+            scene[f"shape_{name}"] = {"type": "shapegroup", "mesh": mesh}
+            reference = {"type": "ref", "id": f"shape_{name}"}
+            scene[f"place_{name}"] = {"type": "instance", "shapegroup": reference}
+        self._scene = mitsuba.load_dict(scene)
+        self._parameters = mitsuba.traverse(self._scene)
+        self._image = np.empty((camera.height, camera.width), dtype=bool)
+
+    def draw(self, transforms: FloatArray) -> Mask:
+        """Move the parts and cast the rays of the window that they are seen in."""
+        self._image[:] = False
+        rows, columns = self._body.window(self._body.place(transforms), self.camera)
+        if rows.start < rows.stop and columns.start < columns.stop:
+            for name, link in self._names.items():
+                self._parameters[f"place_{name}.to_world"] = self._mi.Transform4f(self._seen(transforms[link]))
+            self._image[rows, columns] = self._cast(rows, columns)
+        return self._image
+
+    def _view(self) -> dict[str, Any]:
+        """What the scene has beside the instrument."""
+        return {}
+
+    def _seen(self, transform: FloatArray) -> FloatArray:
+        """Where a part is put, ``(4, 4)``."""
+        return transform
+
+    @abstractmethod
+    def _cast(self, rows: slice, columns: slice) -> np.ndarray:
+        """Which pixels of a window are covered, after an update of the scene."""
+
+
+class MitsubaScalar(_Mitsuba):
+    """``scalar_rgb``: a depth image, cropped to the window."""
+
+    name: ClassVar[str] = "mitsuba-scalar"
+    variant: ClassVar[str] = "scalar_rgb"
+
+    def _view(self) -> dict[str, Any]:
+        mi, camera = self._mi, self.camera
+        # A ray through each pixel's centre: one sample, no jitter, box filter. The principal point's offset has the
+        # opposite sign of what one expects.
+        sensor = {
+            "type": "perspective",
+            "fov_axis": "x",
+            "fov": float(np.degrees(2.0 * np.arctan(camera.width / (2.0 * camera.fx)))),
+            "principal_point_offset_x": 0.5 - (camera.cx + 0.5) / camera.width,
+            "principal_point_offset_y": 0.5 - (camera.cy + 0.5) / camera.height,
+            "near_clip": NEAR_M,
+            "far_clip": FAR_M,
+            "to_world": mi.ScalarTransform4f(np.diag([-1.0, -1.0, 1.0, 1.0])),
+            "film": {
+                "type": "hdrfilm",
+                "width": camera.width,
+                "height": camera.height,
+                "pixel_format": "luminance",
+                "component_format": "float32",
+                "rfilter": {"type": "box"},
+            },
+            "sampler": {"type": "stratified", "sample_count": 1, "jitter": False},
+        }
+        return {"integrator": {"type": "depth"}, "sensor": sensor}
+
+    def _seen(self, transform: FloatArray) -> FloatArray:
+        # The sensor has one focal length: y is scaled instead, which leaves the silhouette as it is.
+        scaled = transform.copy()
+        scaled[1] *= self.camera.fy / self.camera.fx
+        return scaled
+
+    def _cast(self, rows: slice, columns: slice) -> np.ndarray:
+        mi, parameters = self._mi, self._parameters
+        parameters["sensor.film.crop_offset"] = mi.Point2u(columns.start, rows.start)
+        parameters["sensor.film.crop_size"] = mi.Vector2u(columns.stop - columns.start, rows.stop - rows.start)
+        parameters.update()
+        depth = np.asarray(mi.render(self._scene, spp=1))
+        return np.asarray(depth[..., 0] > 0)
+
+
+class MitsubaLLVM(_Mitsuba):
+    """``llvm_ad_rgb``: rays of our own, so that two focal lengths are no matter."""
+
+    name: ClassVar[str] = "mitsuba-llvm"
+    variant: ClassVar[str] = "llvm_ad_rgb"
+
+    @classmethod
+    def problem(cls) -> str | None:
+        """Mitsuba can't be loaded, or finds no LLVM, or one that would kill the process."""
+        problem = super().problem()
+        if problem is not None:
+            return problem
+        import drjit
+        import mitsuba
+
+        try:
+            mitsuba.set_variant(cls.variant)
+            version = drjit.detail.llvm_version()
+        except Exception:  # Dr.Jit's type; it tells at length that it found no LLVM, or one that is older still
+            version = None
+        if version is not None and version[0] >= OLDEST_LLVM:
+            return None
+        found = "none that loads" if version is None else ".".join(map(str, version))
+        return f"needs LLVM {OLDEST_LLVM} or later, found {found}; on Debian and Ubuntu: apt-get install libllvm19"
+
+    def _cast(self, rows: slice, columns: slice) -> np.ndarray:
+        import drjit
+
+        mi, camera = self._mi, self.camera
+        self._parameters.update()
+        width, height = columns.stop - columns.start, rows.stop - rows.start
+        index = drjit.arange(mi.UInt32, width * height)
+        # Opaque numbers keep the compiled kernel for windows of any size and place.
+        across, left, top = (drjit.opaque(mi.UInt32, value) for value in (width, columns.start, rows.start))
+        x = (mi.Float(index % across + left) - camera.cx) / camera.fx
+        y = (mi.Float(index // across + top) - camera.cy) / camera.fy
+        direction = mi.Vector3f(x, y, 1.0)
+        hit = self._scene.ray_test(mi.Ray3f(mi.Point3f(NEAR_M * direction), direction))
+        return np.asarray(hit).reshape(height, width)
+
+    def remark(self) -> str:
+        """Which LLVM."""
+        import drjit
+
+        return f"LLVM {'.'.join(map(str, drjit.detail.llvm_version()))}"
