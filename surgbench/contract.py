@@ -84,6 +84,7 @@ class Scene:
         dt_s: Seconds between frames.
         arms: 1 or 2.
         speed: ``"nominal"`` or ``"fast"``: how fast the instruments move, where the recording's author knows.
+        device: Where candidates may be scored: ``"cpu"``, or ``"cuda"`` where the user asks for it.
     """
 
     instruments: tuple[Instrument, ...]
@@ -92,6 +93,7 @@ class Scene:
     dt_s: float
     arms: int
     speed: str = "nominal"
+    device: str = "cpu"
 
     @property
     def joint_limits(self) -> JointLimits:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
@@ -11,6 +11,9 @@ from surgbench.contract import Observation, Scene
 from surgbench.geometry import FloatArray
 from surgbench.silhouette import Reference, SilhouetteEvaluator
 from surgbench.state import split_arms
+
+if TYPE_CHECKING:
+    from surgbench.silhouette.torch_evaluator import TorchSilhouetteEvaluator
 
 Weight = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
@@ -57,18 +60,30 @@ def keypoint_loss(observed_px: FloatArray, projected_px: FloatArray, tolerance_p
     return np.where(np.isnan(loss), np.inf, loss)
 
 
+def _evaluator(scene: Scene) -> SilhouetteEvaluator | TorchSilhouetteEvaluator:
+    camera = scene.views[0].camera
+    if scene.device == "cpu":
+        return SilhouetteEvaluator(scene.instruments, camera)
+    from surgbench.silhouette.torch_evaluator import TorchSilhouetteEvaluator
+
+    return TorchSilhouetteEvaluator(scene.instruments, camera, device=scene.device)
+
+
 class Objective:
     """Scores candidate states against one frame at a time.
 
     Args:
-        scene: Instruments and reference camera.
+        scene: Instruments, reference camera, and the device to score on.
         weights: Of the terms.
+
+    Raises:
+        ConfigError: The scene's device is not there.
     """
 
     def __init__(self, scene: Scene, weights: LossWeights) -> None:
         self.scene = scene
         self.camera = scene.views[0].camera
-        self.evaluator = SilhouetteEvaluator(scene.instruments, self.camera)
+        self.evaluator = _evaluator(scene)
         pixels = self.camera.width * self.camera.height
         self._appearance = weights.appearance * pixels
         self._keypoints = weights.keypoints * pixels

@@ -43,6 +43,9 @@ def run(
     timeout: Annotated[
         float | None, typer.Option(metavar="S", help="Longest wait for one answer of a tracker; default: 120.")
     ] = None,
+    device: Annotated[
+        Literal["cpu", "cuda"] | None, typer.Option(help="Where trackers score candidates; default: cpu.")
+    ] = None,
     retry_failed: Annotated[
         bool, typer.Option("--retry-failed/--keep-failed", help="Whether failed runs are tried again.")
     ] = True,
@@ -74,7 +77,7 @@ def run(
         "filter": filter_,
         "readings": _readings(no_joints, joints, readings),
     }
-    protocol = {"arms": arms, "seed": seed, "repeats": repeats, "timeout_s": timeout}
+    protocol = {"arms": arms, "seed": seed, "repeats": repeats, "timeout_s": timeout, "device": device}
     base = None if suite is None else load_suite(suite)
     asked = from_command_line(base, tracker or [], row, set_ or [], protocol)
     data = Dataset.open(dataset)

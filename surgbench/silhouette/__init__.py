@@ -1,5 +1,23 @@
-"""Exact silhouettes of articulated instruments: areas and overlaps in microseconds, and masks."""
+"""Exact silhouettes of articulated instruments: counts in microseconds, masks, gradients and contour points."""
 
-from surgbench.silhouette.evaluator import Reference, RowSums, Score, SilhouetteEvaluator
+from surgbench.silhouette.evaluator import (
+    ContourPoints,
+    Gradient,
+    Reference,
+    RowCrossings,
+    RowSums,
+    Score,
+    SilhouetteEvaluator,
+)
+from surgbench.silhouette.visibility import VisibilityEvaluator
 
-__all__ = ["Reference", "RowSums", "Score", "SilhouetteEvaluator"]
+__all__ = [
+    "ContourPoints",
+    "Gradient",
+    "Reference",
+    "RowCrossings",
+    "RowSums",
+    "Score",
+    "SilhouetteEvaluator",
+    "VisibilityEvaluator",
+]

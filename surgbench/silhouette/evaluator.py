@@ -15,8 +15,9 @@ from surgbench.contract import Mask
 from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument
 from surgbench.silhouette import kernel
+from surgbench.silhouette.boundary import Boundary, boundary_scratch
 from surgbench.silhouette.contour import contour_scratch
-from surgbench.silhouette.layout import NEAR_M, assemble, lens
+from surgbench.silhouette.layout import NEAR_M, Bodies, Lens, Links, Mesh, assemble, lens
 from surgbench.silhouette.spans import rows_scratch
 from surgbench.state import STATE_SIZE
 
@@ -58,15 +59,62 @@ class Score(NamedTuple):
     Attributes:
         area: ``(N,)`` int64, ``|S|``.
         overlap: ``(N,)`` int64, ``|S and M|``.
+        box: ``(N, 4)`` int64, first column, first row, and the column and row after the last; zeros where nothing is
+            covered.
     """
 
     area: NDArray[np.int64]
     overlap: NDArray[np.int64]
+    box: NDArray[np.int64]
 
     def iou(self, reference: Reference) -> FloatArray:
         """Intersection over union with the reference, ``(N,)``; 1 where both are empty."""
         union = self.area + reference.area - self.overlap
         return np.where(union > 0, self.overlap / np.maximum(union, 1), 1.0)
+
+
+class Gradient(NamedTuple):
+    """Derivatives of the area integrals behind a :class:`Score`.
+
+    Attributes:
+        area: ``(N, 9 * arms)`` float64, pixels per radian or metre.
+        overlap: ``(N, 9 * arms)`` float64.
+    """
+
+    area: FloatArray
+    overlap: FloatArray
+
+
+class RowCrossings(NamedTuple):
+    """Where the visible contour of a silhouette crosses pixel rows, from the top and from left to right.
+
+    Attributes:
+        row: ``(K,)`` int64.
+        u_px: ``(K,)`` float64, place in the row.
+        sign: ``(K,)`` int64, -1 where the silhouette begins and 1 where it ends.
+    """
+
+    row: NDArray[np.int64]
+    u_px: FloatArray
+    sign: NDArray[np.int64]
+
+
+class ContourPoints(NamedTuple):
+    """Samples of the visible contour of a silhouette, at most sqrt(2) pixels apart along it.
+
+    Attributes:
+        points_px: ``(K, 2)`` float64, column and row.
+        normals: ``(K, 2)`` float64, of unit length, out of the silhouette.
+        lengths_px: ``(K,)`` float64, how much of the contour each stands for.
+        arm: ``(K,)`` int64, the arm whose outline it is.
+        jacobian: ``(K, 9 * arms)`` float64: how far the contour moves along the normal, pixels per radian or metre.
+    """
+
+    points_px: FloatArray
+    normals: FloatArray
+    lengths_px: FloatArray
+    arm: NDArray[np.int64]
+    jacobian: FloatArray
 
 
 @lru_cache(maxsize=8)
@@ -106,6 +154,13 @@ class SilhouetteEvaluator:
 
     def _make_room(self, layers: int | None) -> None:
         self._rows = [rows_scratch(self._bodies, self._mesh, self.camera.height, layers) for _ in self._contours]
+        self._boundary: Boundary | None = None
+
+    def _scratch_boundary(self) -> Boundary:
+        if self._boundary is None:
+            room = len(self._rows[0].merged)
+            self._boundary = boundary_scratch(self._links, self._bodies, self._mesh, self._lens, room)
+        return self._boundary
 
     def _fits(self, layers: int) -> bool:
         """Whether there was room for so many spans in a row; if not, makes room for twice as many."""
@@ -140,7 +195,8 @@ class SilhouetteEvaluator:
         Raises:
             ValueError: Wrong shape of states or mask.
         """
-        return Score(*self.sum_over(states, reference))
+        counts = self._count(states, reference)
+        return Score(counts[0], counts[1], counts[2:].T)
 
     def sum_over(self, states: ArrayLike, sums: RowSums) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Area of each state's silhouette, and the sum of an integer image over it.
@@ -155,34 +211,95 @@ class SilhouetteEvaluator:
         Raises:
             ValueError: Wrong shape of states or image.
         """
-        batch = self._states(states, 2)
-        if sums.prefix.shape != (self.camera.height, self.camera.width + 1):
-            height, width = sums.prefix.shape
-            expected = f"{self.camera.width} x {self.camera.height}"
-            raise ValueError(f"the image is {width - 1} x {height}, the camera {expected}")
-        counts = np.empty((2, len(batch)), np.int64)
-        while not self._fits(self._score(batch, sums, counts)):
-            pass
+        counts = self._count(states, sums)
         return counts[0], counts[1]
 
-    def _score(self, batch: FloatArray, sums: RowSums, counts: NDArray[np.int64]) -> int:
+    def _count(self, states: ArrayLike, sums: RowSums) -> NDArray[np.int64]:
+        batch = self._states(states, 2)
+        self._check_size(*sums.prefix.shape)
+        counts = np.empty((6, len(batch)), np.int64)
+        while not self._fits(self._count_in_threads(batch, sums, counts)):
+            pass
+        return counts
+
+    def _check_size(self, height: int, width_and_one: int) -> None:
+        if (height, width_and_one) != (self.camera.height, self.camera.width + 1):
+            expected = f"{self.camera.width} x {self.camera.height}"
+            raise ValueError(f"the image is {width_and_one - 1} x {height}, the camera {expected}")
+
+    @property
+    def _fixed(self) -> tuple[Links, Bodies, Mesh, Lens]:
+        return self._links, self._bodies, self._mesh, self._lens
+
+    def _count_in_threads(self, batch: FloatArray, sums: RowSums, counts: NDArray[np.int64]) -> int:
         taken = np.zeros(len(batch), bool)
-        fixed = self._links, self._bodies, self._mesh, self._lens
 
         def work(thread: int) -> int:
             scratch = self._contours[thread], self._rows[thread]
-            return int(kernel.score(batch, *fixed, *scratch, sums.prefix, counts, taken, thread, self.threads))
+            return int(kernel.score(batch, *self._fixed, *scratch, sums.prefix, counts, taken, thread, self.threads))
 
         if self.threads == 1:
             return work(0)
         helpers = [_helpers(self.threads).submit(work, thread) for thread in range(1, self.threads)]
         return max([work(0), *(helper.result() for helper in helpers)])
 
+    def gradient(self, states: ArrayLike, reference: Reference) -> Gradient:
+        """Derivatives of area and overlap with respect to each state.
+
+        The counts of :meth:`score` are piecewise constant; this is the gradient of the area integral behind them,
+
+            d/dx int_S w dA = int_(visible contour) w (n . dp/dx) ds,   w = 1 or the reference mask,
+
+        sampled at every row that a steep edge crosses and every column that a flat one does
+        (:mod:`surgbench.silhouette.boundary`). Where a facet is seen edge-on the area has a kink, and this is the
+        derivative on one side of it.
+
+        Args:
+            states: ``(N, 9 * arms)``; a state that is not finite has the gradient zero.
+            reference: Mask of the camera's size.
+
+        Raises:
+            ValueError: Wrong shape of states or mask.
+        """
+        batch = self._states(states, 2)
+        self._check_size(*reference.prefix.shape)
+        result = np.empty((2, *batch.shape))
+        while True:
+            scratch = self._contours[0], self._scratch_boundary()
+            if self._fits(kernel.gradient(batch, *self._fixed, *scratch, reference.mask, result)):
+                return Gradient(result[0], result[1])
+
+    def contour_points(self, state: ArrayLike) -> ContourPoints:
+        """Sample the visible contour of one state ``(9 * arms,)``, for least-squares trackers.
+
+        Parts of the image's border that the silhouette reaches are no contour, nor is where the near plane cuts it.
+        """
+        one = self._states(state, 1)
+        most = 4 * (self.camera.width + self.camera.height)
+        while True:
+            place, normal, rate = np.empty((most, 2)), np.empty((most, 2)), np.empty((most, len(one)))
+            length, arm = np.empty(most), np.empty(most, np.int64)
+            scratch = self._contours[0], self._scratch_boundary()
+            found, layers = kernel.contour_points(one, *self._fixed, *scratch, place, normal, length, arm, rate)
+            if self._fits(layers) and found <= most:
+                return ContourPoints(place[:found], normal[:found], length[:found], arm[:found], rate[:found])
+            most = max(most, found)
+
+    def row_crossings(self, state: ArrayLike) -> RowCrossings:
+        """Where the visible contour of one state ``(9 * arms,)`` crosses the centre lines of pixel rows."""
+        one = self._states(state, 1)
+        while True:
+            boundary = self._scratch_boundary()
+            found, layers = kernel.row_crossings(one, *self._fixed, self._contours[0], boundary)
+            if self._fits(layers):
+                edge = boundary.edge[:found]
+                sign = np.where(boundary.rows.begins[edge], -1, 1)
+                return RowCrossings(boundary.line[:found].astype(np.int64), boundary.at[:found].copy(), sign)
+
     def mask(self, state: ArrayLike) -> Mask:
         """Silhouette of one state ``(9 * arms,)`` as an ``(H, W)`` bool image."""
         one = self._states(state, 1)
         image = np.zeros((self.camera.height, self.camera.width), dtype=bool)
-        fixed = self._links, self._bodies, self._mesh, self._lens
-        while not self._fits(kernel.paint(one, *fixed, self._contours[0], self._rows[0], image)):
+        while not self._fits(kernel.paint(one, *self._fixed, self._contours[0], self._rows[0], image)):
             image[:] = False
         return image

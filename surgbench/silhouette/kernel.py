@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from surgbench.silhouette import spans
+from surgbench.silhouette.boundary import find_boundary, find_row_crossings, jacobians, pull_back, sum_wrenches
 from surgbench.silhouette.compiled import compiled
 from surgbench.silhouette.contour import trace
 from surgbench.silhouette.spans import cover, total
@@ -40,7 +41,7 @@ def score(
         contour: Scratch of this thread.
         rows: Scratch of this thread.
         prefix: ``(H, W + 1)`` integers: sum of the image's row before each column.
-        counts: ``(2, N)`` int64, filled with the pixels covered and the sums.
+        counts: ``(6, N)`` int64, filled with the pixels covered, the sums and the bounding boxes.
         taken: ``(N,)`` bool, set where a thread is at work on a state.
         share: Number of this thread.
         shares: Number of threads.
@@ -59,8 +60,8 @@ def score(
                 continue
             taken[s] = True
             edges = trace(states[s], links, bodies, mesh, lens, contour)
-            top, bottom = cover(edges, bodies, lens, contour, rows)
-            counts[0, s], counts[1, s], needed = total(top, bottom, lens.height, rows, prefix)
+            top, bottom = cover(edges, bodies, contour, rows, lens.width, lens.height, False, False)
+            needed = total(top, bottom, lens.width, lens.height, rows, prefix, counts[:, s])
             layers = max(layers, needed)
     return layers
 
@@ -69,5 +70,41 @@ def score(
 def paint(state: Any, links: Any, bodies: Any, mesh: Any, lens: Any, contour: Any, rows: Any, image: Any) -> Any:
     """Set the pixels of one state's silhouette in ``image (H, W)`` bool; returns as :func:`score`."""
     edges = trace(state, links, bodies, mesh, lens, contour)
-    top, bottom = cover(edges, bodies, lens, contour, rows)
+    top, bottom = cover(edges, bodies, contour, rows, lens.width, lens.height, False, False)
     return spans.paint(top, bottom, lens.height, rows, image)
+
+
+@compiled
+def gradient(
+    states: Any, links: Any, bodies: Any, mesh: Any, lens: Any, contour: Any, boundary: Any, mask: Any, gradients: Any
+) -> Any:
+    """Gradients of area and overlap, ``(2, N, 9 * arms)``; returns as :func:`score`."""
+    layers = 0
+    for s in range(states.shape[0]):
+        edges = trace(states[s], links, bodies, mesh, lens, contour)
+        row_found, found, needed = find_boundary(edges, bodies, lens, contour, boundary)
+        layers = max(layers, needed)
+        sum_wrenches(row_found, found, bodies, mesh, lens, contour, mask, boundary)
+        for part in range(2):
+            pull_back(states[s], links, contour.pose, boundary.wrench[part], gradients[part, s])
+    return layers
+
+
+@compiled
+def contour_points(
+    state: Any, links: Any, bodies: Any, mesh: Any, lens: Any, contour: Any, boundary: Any,
+    points: Any, normals: Any, lengths: Any, arms: Any, rates: Any,
+) -> Any:  # fmt: skip
+    """Sample the visible contour of one state with normals and Jacobians; returns the number, and as :func:`score`."""
+    edges = trace(state, links, bodies, mesh, lens, contour)
+    row_found, found, layers = find_boundary(edges, bodies, lens, contour, boundary)
+    if found <= lengths.shape[0]:
+        jacobians(row_found, found, state, links, mesh, lens, contour, boundary, points, normals, lengths, arms, rates)
+    return found, layers
+
+
+@compiled
+def row_crossings(state: Any, links: Any, bodies: Any, mesh: Any, lens: Any, contour: Any, boundary: Any) -> Any:
+    """Find where the visible contour of one state crosses rows; returns as :func:`contour_points`."""
+    edges = trace(state, links, bodies, mesh, lens, contour)
+    return find_row_crossings(edges, bodies, lens, contour, boundary)

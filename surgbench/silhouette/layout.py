@@ -68,6 +68,7 @@ class Mesh(NamedTuple):
     edge_end: Indices
     edge_facet0: Indices
     edge_facet1: Indices
+    edge_link: Indices
 
 
 class Lens(NamedTuple):
@@ -154,6 +155,7 @@ def assemble(instruments: Sequence[Instrument]) -> tuple[Links, Bodies, Mesh]:
         faces=np.ascontiguousarray(corners[:, :3]), face_facet=_column(corners, 3),
         edge_start=_column(ends, 0), edge_end=_column(ends, 1),
         edge_facet0=_column(ends, 2), edge_facet1=_column(ends, 3),
+        edge_link=np.repeat(bodies.link, np.diff(bodies.edge_start)).astype(np.uint32),
     )  # fmt: skip
     return links, bodies, mesh
 

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from surgbench.geometry import FloatArray
 from surgbench.silhouette.compiled import compiled
-from surgbench.silhouette.layout import Bodies, Mesh
+from surgbench.silhouette.layout import Bodies, Indices, Mesh
 
 # A packed span sorts by its first column.
 COLUMN_BITS = 32
@@ -44,9 +44,9 @@ class Rows(NamedTuple):
     tally: NDArray[np.int32]  # (H,) crossings of the body in work
     slot: NDArray[np.int32]  # (H,) place of the next span's halves in ``columns``: 2 * (m * H + r)
     spans: NDArray[np.int64]  # (layers * H,) first column << COLUMN_BITS | column after the last
-    columns: NDArray[np.int32]  # (2 * layers * H,) the same memory by halves: end, begin
+    columns: Indices  # (2 * layers * H,) the same memory by halves: end, begin
     merged: NDArray[np.int64]  # (layers,) spans of the row in work
-    crossings: NDArray[np.int32]  # (K,) column << 1 | begins, row by row
+    crossings: Indices  # (K,) numbers of edges, row by row
     offset: NDArray[np.int32]  # (H,) where a row's crossings lie
 
 
@@ -64,18 +64,17 @@ def rows_scratch(bodies: Bodies, mesh: Mesh, height: int, layers: int | None = N
         slot=np.arange(0, 2 * height, 2, dtype=np.int32),
         spans=spans,
         # The lower half comes first in memory on every machine that numba supports.
-        columns=spans.view(np.int32),
+        columns=spans.view(np.uint32),
         merged=np.empty(layers, np.int64),
-        crossings=np.empty(8 * most, np.int32),
+        crossings=np.empty(8 * most, np.uint32),
         offset=np.empty(height, np.int32),
     )  # fmt: skip
 
 
 @compiled
-def _prepare(count: int, lens: Any, contour: Any, rows: Any) -> Any:
+def _prepare(count: int, u0: Any, v0: Any, u1: Any, v1: Any, mirrored: bool, lines: int, rows: Any) -> Any:
     """Turn each edge downwards and find the rows it crosses."""
-    u0, v0, u1, v1 = contour.u0, contour.v0, contour.u1, contour.v1
-    height = float(lens.height)
+    height = float(lines)
     for n in range(count):
         down = v1[n] > v0[n]
         rows.first[n] = np.int32(np.ceil(min(max(min(v0[n], v1[n]), 0.0), height)))
@@ -83,25 +82,36 @@ def _prepare(count: int, lens: Any, contour: Any, rows: Any) -> Any:
         rows.slope[n] = (u1[n] - u0[n]) / (v1[n] - v0[n])
         rows.u[n] = u0[n] if down else u1[n]
         rows.v[n] = v0[n] if down else v1[n]
-        rows.begins[n] = 0 if down else 1
+        rows.begins[n] = 0 if down != mirrored else 1
 
 
 @compiled(inline="always")
-def _column(n: int, row: int, width: float, rows: Any) -> Any:
-    """First column whose pixel centre lies at or right of edge n's crossing of a row, within [0, width]."""
-    return np.int32(min(max(np.ceil(rows.u[n] + (row - rows.v[n]) * rows.slope[n]), 0.0), width))
+def crossing(n: Any, row: int, rows: Any) -> Any:
+    """Where edge n crosses a row, pixels."""
+    return rows.u[n] + (row - rows.v[n]) * rows.slope[n]
 
 
 @compiled(inline="always")
-def _enter(first_edge: int, last_edge: int, top: int, bottom: int, width: float, rows: Any) -> Any:
+def column(u: float, width: float) -> Any:
+    """First column whose pixel centre lies at or right of u, within [0, width]."""
+    return np.uint32(min(max(np.ceil(u), 0.0), width))
+
+
+@compiled(inline="always")
+def _enter(first_edge: int, last_edge: int, top: int, bottom: int, width: float, numbers: bool, rows: Any) -> Any:
     """Write edges into their rows' next span; returns the rows touched so far."""
     columns, tally, slot = rows.columns, rows.tally, rows.slot
     for n in range(first_edge, last_edge):
         first, last = rows.first[n], rows.last[n]
         u, v, slope, half = rows.u[n], rows.v[n], rows.slope[n], rows.begins[n]
-        for row in range(first, last):
-            columns[slot[row] + half] = np.int32(min(max(np.ceil(u + (row - v) * slope), 0.0), width))
-            tally[row] += 1
+        if numbers:
+            for row in range(first, last):
+                columns[slot[row] + half] = n
+                tally[row] += 1
+        else:
+            for row in range(first, last):
+                columns[slot[row] + half] = np.uint32(min(max(np.ceil(u + (row - v) * slope), 0.0), width))
+                tally[row] += 1
         top, bottom = min(top, first), max(bottom, last)
     return top, bottom
 
@@ -116,83 +126,100 @@ def _advance(tally: Any, slot: Any, step: Any, end: Any) -> Any:
     return more != 0
 
 
-@compiled(inline="always")
-def insertion_sort(values: Any, count: int) -> Any:
-    """Sort the first ``count`` values, which are few or nearly in order."""
-    for i in range(1, count):
-        value = values[i]
-        j = i
-        while j > 0 and values[j - 1] > value:
-            values[j] = values[j - 1]
-            j -= 1
-        values[j] = value
-
-
 @compiled
-def _wind(b: int, top: int, bottom: int, step: int, end: int, width: float, contour: Any, rows: Any) -> Any:
+def _wind(
+    b: int, top: int, bottom: int, step: int, end: int, width: float, numbers: bool, contour: Any, rows: Any
+) -> Any:
     """Spans of body b in those of its rows which have more than two crossings."""
     tally, offset, crossings = rows.tally, rows.offset, rows.crossings
     row = top
     while row < bottom:
         # As many rows at once as there is room for; a single row always has.
-        stop, total = row, 0
-        while stop < bottom and total + (tally[stop] if tally[stop] > 2 else 0) <= crossings.shape[0]:
-            offset[stop] = total
-            total += tally[stop] if tally[stop] > 2 else 0
+        stop, room = row, crossings.shape[0]
+        while stop < bottom and (tally[stop] <= 2 or tally[stop] <= room):
+            offset[stop] = crossings.shape[0] - room
+            room -= tally[stop] if tally[stop] > 2 else 0
             stop += 1
-        if total > 0:
-            for part in range(2):
-                starts = contour.start if part == 0 else contour.closing
-                for n in range(starts[b], starts[b + 1]):
-                    first, last = np.int64(rows.first[n]), np.int64(rows.last[n])
-                    for r in range(max(row, int(first)), min(stop, int(last))):
-                        if tally[r] > 2:
-                            crossings[offset[r]] = (_column(n, r, width, rows) << 1) | rows.begins[n]
-                            offset[r] += 1
+        for part in range(2):
+            starts = contour.start if part == 0 else contour.closing
+            for n in range(starts[b], starts[b + 1]):
+                first, last = np.int64(rows.first[n]), np.int64(rows.last[n])
+                for r in range(max(row, int(first)), min(stop, int(last))):
+                    if tally[r] > 2:
+                        crossings[offset[r]] = n
+                        offset[r] += 1
         for r in range(row, stop):
             if tally[r] <= 2:
                 continue
             line = crossings[offset[r] - tally[r] : offset[r]]
-            insertion_sort(line, line.shape[0])
             winding = 0
             for k in range(line.shape[0]):
+                # The next from the left.
+                for m in range(k + 1, line.shape[0]):
+                    if crossing(line[m], r, rows) < crossing(line[k], r, rows):
+                        line[k], line[m] = line[m], line[k]
                 before = winding
-                winding += 1 if line[k] & 1 else -1
+                winding += 1 if rows.begins[line[k]] else -1
                 if before == 0 or winding == 0:
-                    rows.columns[rows.slot[r] + (1 if before == 0 else 0)] = line[k] >> 1
+                    value = np.uint32(line[k]) if numbers else column(crossing(line[k], r, rows), width)
+                    rows.columns[rows.slot[r] + (1 if before == 0 else 0)] = value
                     if winding == 0 and rows.slot[r] < end:
                         rows.slot[r] += step
         row = stop
 
 
 @compiled
-def cover(edges: int, bodies: Any, lens: Any, contour: Any, rows: Any) -> Any:
-    """Fill the spans of the traced contour; returns the first row and the row after the last."""
-    _prepare(edges, lens, contour, rows)
-    width, height = float(lens.width), lens.height
+def cover(
+    edges: int, bodies: Any, contour: Any, rows: Any, width: int, height: int, across: bool, numbers: bool
+) -> Any:
+    """Fill the spans of the traced contour.
+
+    Args:
+        edges: How many edges the contour has.
+        bodies: The parts.
+        contour: Their contours.
+        rows: Filled with the spans.
+        width: Of the image.
+        height: Of the image.
+        across: Whether the columns of the image take the place of its rows.
+        numbers: Whether spans consist of the numbers of the edges that bound them, instead of their columns.
+
+    Returns:
+        The first row and the row after the last.
+    """
+    if across:
+        width, height = height, width
+        _prepare(edges, contour.v0, contour.u0, contour.v1, contour.u1, True, height, rows)
+    else:
+        _prepare(edges, contour.u0, contour.v0, contour.u1, contour.v1, False, height, rows)
     step = np.int32(2 * height)
     end = np.int32(rows.columns.shape[0] - 2 * height)
+    limit = float(width)
     top, bottom = height, 0
     for b in range(bodies.link.shape[0]):
-        a, z = _enter(contour.start[b], contour.start[b + 1], height, 0, width, rows)
-        a, z = _enter(contour.closing[b], contour.closing[b + 1], a, z, width, rows)
+        a, z = _enter(contour.start[b], contour.start[b + 1], height, 0, limit, numbers, rows)
+        a, z = _enter(contour.closing[b], contour.closing[b + 1], a, z, limit, numbers, rows)
         if a >= z:
             continue
         if _advance(rows.tally[a:z], rows.slot[a:z], step, end):
-            _wind(b, a, z, step, end, width, contour, rows)
+            _wind(b, a, z, step, end, limit, numbers, contour, rows)
         rows.tally[a:z] = 0
         top, bottom = min(top, a), max(bottom, z)
     return top, bottom
 
 
 @compiled
-def _sum(top: int, bottom: int, height: int, slot: Any, spans: Any, merged: Any, prefix: Any) -> Any:
+def _sum(
+    top: int, bottom: int, width: int, height: int, slot: Any, spans: Any, merged: Any, prefix: Any, counts: Any
+) -> Any:
     covered, inside, furthest = np.int64(0), np.int64(0), np.int64(0)
+    left, right, first_row, last_row = np.int64(width), np.int64(0), np.int64(height), np.int64(-1)
     for row in range(top, bottom):
         stop = np.int64(slot[row])
         slot[row] = 2 * row
         furthest = max(furthest, stop)
         begin, end = spans[row] >> COLUMN_BITS, spans[row] & COLUMN_MASK
+        before = covered
         if stop > 2 * (height + row):  # more than one span
             count = 0
             for place in range(row, stop // 2, height):
@@ -206,9 +233,11 @@ def _sum(top: int, bottom: int, height: int, slot: Any, spans: Any, merged: Any,
             begin, end = merged[0] >> COLUMN_BITS, merged[0] & COLUMN_MASK
             for m in range(1, count):
                 next_begin, next_end = merged[m] >> COLUMN_BITS, merged[m] & COLUMN_MASK
-                if next_begin > end:
+                if next_begin > end or end == begin:
                     covered += end - begin
                     inside += np.int64(prefix[row, end]) - np.int64(prefix[row, begin])
+                    left = min(left, begin) if end > begin else left
+                    right = max(right, end) if end > begin else right
                     begin, end = next_begin, next_end
                 else:
                     end = max(end, next_end)
@@ -216,13 +245,34 @@ def _sum(top: int, bottom: int, height: int, slot: Any, spans: Any, merged: Any,
             continue
         covered += end - begin
         inside += np.int64(prefix[row, end]) - np.int64(prefix[row, begin])
-    return covered, inside, furthest // (2 * height)
+        left = min(left, begin) if end > begin else left
+        right = max(right, end) if end > begin else right
+        if covered > before:
+            first_row, last_row = min(first_row, np.int64(row)), np.int64(row)
+    counts[0], counts[1] = covered, inside
+    counts[2], counts[3], counts[4], counts[5] = left, first_row, right, last_row + 1
+    if covered == 0:
+        counts[2:] = 0
+    return furthest // (2 * height)
 
 
 @compiled
-def total(top: int, bottom: int, height: int, rows: Any, prefix: Any) -> Any:
-    """Pixels covered, the sum of an image over them, and the layers that were needed; clears the rows."""
-    return _sum(top, bottom, height, rows.slot, rows.spans, rows.merged, prefix)
+def total(top: int, bottom: int, width: int, height: int, rows: Any, prefix: Any, counts: Any) -> Any:
+    """Add up what the spans cover, and clear them.
+
+    Args:
+        top: First row filled.
+        bottom: The row after the last.
+        width: Of the image.
+        height: Of the image.
+        rows: The spans.
+        prefix: ``(H, W + 1)`` integers: sum of an image's row before each column.
+        counts: ``(6,)``, filled: pixels covered, the sum of the image over them, and their bounding box.
+
+    Returns:
+        The layers that were needed.
+    """
+    return _sum(top, bottom, width, height, rows.slot, rows.spans, rows.merged, prefix, counts)
 
 
 @compiled

@@ -27,19 +27,33 @@ PACKAGES = (
 
 
 @cache
-def environment() -> dict[str, Any]:
-    """Versions, git state and machine, as they stand in a record."""
+def environment(device: str = "cpu") -> dict[str, Any]:
+    """Versions, git state and machine, as they stand in a record; with the card where it is used."""
+    machine: dict[str, Any] = {
+        "system": platform.platform(),
+        "processor": _processor(),
+        "cores": os.cpu_count(),
+    }
+    if device != "cpu":
+        machine["gpu"] = gpu()
     return {
         "surgbench": surgbench.__version__,
         "python": platform.python_version(),
         "packages": {name: found for name in PACKAGES if (found := _version(name)) is not None},
         "git": _git_state(),
-        "machine": {
-            "system": platform.platform(),
-            "processor": _processor(),
-            "cores": os.cpu_count(),
-        },
+        "machine": machine,
     }
+
+
+def gpu() -> dict[str, str] | None:
+    """Name of the first NVIDIA card and version of its driver; ``None`` where there is none."""
+    query = ["nvidia-smi", "--query-gpu=name,driver_version", "--format=csv,noheader"]
+    try:
+        done = subprocess.run(query, capture_output=True, text=True, check=True)
+    except (OSError, subprocess.CalledProcessError):
+        return None
+    name, _, driver = done.stdout.partition("\n")[0].rpartition(", ")
+    return {"name": name, "driver": driver}
 
 
 def _version(package: str) -> str | None:

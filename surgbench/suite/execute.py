@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -111,7 +112,7 @@ def child_setup(job: Job, scene: Scene) -> Setup:
         settings.initialiser,
         settings.filter,
         settings.keypoints,
-        scene,
+        replace(scene, device=settings.protocol.device),
         own(settings.tracker),
         own(settings.initialiser),
     )

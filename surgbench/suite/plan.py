@@ -13,6 +13,7 @@ from surgbench.files import canonical_json, sha256_text
 from surgbench.registry import NAME_PATTERN, Kind, configure, find
 
 Readings = Literal["none", "noisy", "true"]
+Device = Literal["cpu", "cuda"]
 HASH_DIGITS = 16
 
 
@@ -49,6 +50,7 @@ class Protocol(BaseModel):
     seed: Annotated[int, Field(ge=0)] = 0
     repeats: Annotated[int, Field(ge=1)] = 1
     timeout_s: Annotated[float, Field(gt=0)] = 120.0
+    device: Device = "cpu"
 
 
 class Suite(Protocol):
@@ -88,7 +90,7 @@ class Settings:
 
     def spec(self) -> dict[str, Any]:
         """The part of a record's specification that is the same for all units and repeats."""
-        return {
+        spec: dict[str, Any] = {
             "task": "instrument",
             "row_id": self.row_id,
             "tracker": self.tracker.spec(),
@@ -98,6 +100,9 @@ class Settings:
             "readings": self.readings,
             "seed": self.protocol.seed,
         }
+        if self.protocol.device != "cpu":  # so that the hashes of runs without a GPU do not know of GPUs
+            spec["device"] = self.protocol.device
+        return spec
 
     @property
     def references(self) -> dict[str, str]:
@@ -117,6 +122,8 @@ class Settings:
             words.append(f"seed {self.protocol.seed}")
         if self.readings != "none":
             words.append(f"{self.readings} readings")
+        if self.protocol.device != "cpu":
+            words.append(f"device {self.protocol.device}")
         for plug, usual in ((self.filter, "kalman"), (self.keypoints, "observed"), (self.initialiser, "truth")):
             if plug.name != usual or plug.changed:
                 changed = ", ".join(f"{key}={value}" for key, value in _flat(plug.changed))
@@ -184,8 +191,12 @@ def complete(row: Row, protocol: Protocol, dataset: Dataset) -> Settings:
 
     Raises:
         NotFoundError: A name that is not registered.
-        ConfigError: An option that no plug-in of the row takes, or a wrong value.
+        ConfigError: An option that no plug-in of the row takes, a wrong value, or a device that is not there.
     """
+    if protocol.device != "cpu":
+        from surgbench.silhouette.torch_evaluator import check_device
+
+        check_device(protocol.device)
     has_truth = all(sequence.entry.truth for sequence in dataset.sequences)
     has_readings = all(sequence.entry.readings for sequence in dataset.sequences)
     tracker = _plug("tracker", row.tracker, row.options)

@@ -69,7 +69,7 @@ def _job(record: dict[str, Any], dataset: Dataset) -> Job:
         readings=spec["readings"],
         options={plug["name"]: plug["options"] for plug in plugs if plug["options"]},
     )
-    protocol = Protocol(seed=spec["seed"])
+    protocol = Protocol(seed=spec["seed"], device=spec.get("device", "cpu"))
     unit = Unit(spec["unit"], spec["sequence"], tuple(spec["arms"]), spec["mask_kind"])
     frames = dataset.sequence(unit.sequence).frames
     return Job(complete(row, protocol, dataset), dataset.name, dataset.hash, unit, frames, spec["repeat"])

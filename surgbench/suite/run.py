@@ -147,7 +147,13 @@ def run(
 
         try:
             record = execute(
-                job, dataset, environment(), count, lambda fraction: stage(label, fraction), children, stopping
+                job,
+                dataset,
+                environment(job.settings.protocol.device),
+                count,
+                lambda fraction: stage(label, fraction),
+                children,
+                stopping,
             )
             if stopping.is_set():
                 return None
