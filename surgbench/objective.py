@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
@@ -9,8 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from surgbench.contract import Observation, Scene
 from surgbench.geometry import FloatArray
-from surgbench.silhouette import Reference, SilhouetteEvaluator
-from surgbench.state import split_arms
+from surgbench.silhouette import KeypointProjector, Reference, SilhouetteEvaluator, iou
 
 if TYPE_CHECKING:
     from surgbench.silhouette.torch_evaluator import TorchSilhouetteEvaluator
@@ -60,6 +60,34 @@ def keypoint_loss(observed_px: FloatArray, projected_px: FloatArray, tolerance_p
     return np.where(np.isnan(loss), np.inf, loss)
 
 
+def keypoint_slope(observed_px: FloatArray, projected_px: FloatArray, tolerance_px: float) -> FloatArray:
+    """Derivative of :func:`keypoint_loss` with respect to the projected tips.
+
+    Args:
+        observed_px: ``(2, 2)`` in no particular order.
+        projected_px: ``(..., 2, 2)``; NaN for tips behind the camera.
+        tolerance_px: tau.
+
+    Returns:
+        ``(..., 2, 2)``; zero for tips within the tolerance or behind the camera.
+    """
+
+    def direction(difference: FloatArray) -> FloatArray:
+        distance = np.linalg.norm(difference, axis=-1, keepdims=True)
+        beyond = distance > tolerance_px  # false for NaN
+        return np.where(beyond, difference / np.where(beyond, distance, 1.0), 0.0)
+
+    straight, swapped = projected_px - observed_px, projected_px - observed_px[::-1]
+
+    def total(difference: FloatArray) -> FloatArray:
+        excess = np.linalg.norm(difference, axis=-1) - tolerance_px
+        return np.asarray(np.maximum(excess, 0.0).sum(axis=-1))
+
+    nearer = (total(straight) <= total(swapped))[..., None, None]
+    centre = projected_px.mean(axis=-2, keepdims=True) - observed_px.mean(axis=-2)
+    return np.asarray(direction(np.where(nearer, straight, swapped)) + direction(centre) / 2)
+
+
 def _evaluator(scene: Scene) -> SilhouetteEvaluator | TorchSilhouetteEvaluator:
     camera = scene.views[0].camera
     if scene.device == "cpu":
@@ -84,6 +112,7 @@ class Objective:
         self.scene = scene
         self.camera = scene.views[0].camera
         self.evaluator = _evaluator(scene)
+        self._projector = KeypointProjector(scene.instruments, self.camera)
         pixels = self.camera.width * self.camera.height
         self._appearance = weights.appearance * pixels
         self._keypoints = weights.keypoints * pixels
@@ -105,10 +134,10 @@ class Objective:
         """
         if self._reference is None:
             raise RuntimeError("observe a frame before scoring candidates")
-        score = self.evaluator.score(states, self._reference)
-        squared = score.area + self._reference.area - 2 * score.overlap
-        loss = squared + self._appearance * np.abs(score.area - self._reference.area)
-        return np.asarray(loss, dtype=np.float64), score.iou(self._reference)
+        area, overlap = self.evaluator.sum_over(states, self._reference)
+        observed = self._reference.area
+        loss = area + observed - 2 * overlap + self._appearance * np.abs(area - observed)
+        return np.asarray(loss, dtype=np.float64), iou(area, overlap, observed)
 
     def __call__(self, states: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Losses and overlaps of candidates (eq. 5 and 15).
@@ -123,10 +152,44 @@ class Objective:
             RuntimeError: No frame has been observed.
         """
         loss, overlap = self.mismatch(states)
-        if self._keypoints > 0:
-            arms = split_arms(states)
+        if self._keypoints > 0 and any(observed is not None for observed in self._observed):
+            tips = self._projector.project(states)
             for arm, observed in enumerate(self._observed):
                 if observed is not None:
-                    tips = self.camera.project(self.scene.instruments[arm].tips_cam(arms[:, arm]))
-                    loss = loss + self._keypoints * keypoint_loss(observed, tips, self._tolerance_px)
+                    loss = loss + self._keypoints * keypoint_loss(observed, tips[:, arm], self._tolerance_px)
         return loss, overlap
+
+    def gradient(self, states: FloatArray) -> FloatArray:
+        """Derivative of the losses (eq. 5) with respect to the candidates.
+
+        Of the pixel counts it is that of the area integrals behind them, on the CPU whatever the scene's device.
+
+        Args:
+            states: ``(n, 9 * arms)``.
+
+        Returns:
+            ``(n, 9 * arms)`` pixels per radian or metre.
+
+        Raises:
+            RuntimeError: No frame has been observed.
+        """
+        if self._reference is None:
+            raise RuntimeError("observe a frame before scoring candidates")
+        area, _ = self.evaluator.sum_over(states, self._reference)
+        slope = self._differentiable.gradient(states, self._reference)
+        excess = np.sign(area - self._reference.area)[:, None]
+        gradient = slope.area - 2 * slope.overlap + self._appearance * excess * slope.area
+        if self._keypoints > 0 and any(observed is not None for observed in self._observed):
+            tips = self._projector.project(states)
+            forces = np.zeros_like(tips)
+            for arm, observed in enumerate(self._observed):
+                if observed is not None:
+                    forces[:, arm] = keypoint_slope(observed, tips[:, arm], self._tolerance_px)
+            gradient = gradient + self._keypoints * self._projector.pull_back(states, forces)
+        return gradient
+
+    @cached_property
+    def _differentiable(self) -> SilhouetteEvaluator:
+        if isinstance(self.evaluator, SilhouetteEvaluator):
+            return self.evaluator
+        return SilhouetteEvaluator(self.scene.instruments, self.camera)

@@ -9,8 +9,9 @@ import pytest
 from support import observe, resting_state, scene_of
 
 from surgbench.camera import Camera
-from surgbench.objective import LossWeights, Objective, keypoint_loss
+from surgbench.objective import LossWeights, Objective, keypoint_loss, keypoint_slope
 from surgbench.silhouette import SilhouetteEvaluator
+from surgbench.state import STATE_SCALE
 
 OBSERVED = np.array([[100.0, 50.0], [110.0, 50.0]])
 
@@ -66,3 +67,42 @@ def test_keypoints_weigh_where_they_are_seen(small_camera: Camera) -> None:
 def test_scoring_before_a_frame_is_an_error(small_camera: Camera) -> None:
     with pytest.raises(RuntimeError, match="observe a frame"):
         Objective(scene_of(small_camera), LossWeights())(resting_state()[None])
+
+
+@pytest.mark.parametrize("observed_px", [[[300.0, 200.0], [340.0, 215.0]], [[340.0, 215.0], [300.0, 200.0]]])
+def test_slope_of_the_keypoint_loss_is_its_derivative(observed_px: list[list[float]]) -> None:
+    """In either order of the tips, with one tip within the tolerance (no slope) and one behind the camera."""
+    observed = np.array(observed_px)
+    rng = np.random.default_rng(3)
+    projected = np.array([[310.0, 190.0], [360.0, 230.0]]) + rng.normal(0, 8, (20, 2, 2))
+    slope = keypoint_slope(observed, projected, 10.0)
+    for index in np.ndindex(2, 2):
+        step = np.zeros((2, 2))
+        step[index] = 1e-6
+        up, down = (keypoint_loss(observed, projected + sign * step, 10.0) for sign in (1, -1))
+        assert slope[(slice(None), *index)] == pytest.approx((up - down) / 2e-6, abs=1e-5)
+    projected[0, 1] = np.nan
+    assert np.isfinite(keypoint_slope(observed, projected, 10.0)).all()
+
+
+def test_gradient_predicts_the_change_of_the_whole_loss(camera: Camera) -> None:
+    """A step of 0.2 natural steps downhill changes the loss by what the gradient says; tips 25 px off weigh in."""
+    scene = scene_of(camera)
+    state = resting_state()
+    observation = observe(scene, state)
+    tips = camera.project(scene.instruments[0].tips_cam(state)) + np.array([15.0, 20.0])
+    observation = replace(observation, views=(replace(observation.views[0], keypoints=(tips,)),))
+    objective = Objective(scene, LossWeights())
+    objective.observe(observation)
+    states = state + np.random.default_rng(1).standard_normal((12, 9)) * STATE_SCALE
+    gradient = objective.gradient(states) * STATE_SCALE
+    before, _ = objective(states)
+    downhill = -0.2 * gradient / np.linalg.norm(gradient, axis=1, keepdims=True)
+    after, _ = objective(states + STATE_SCALE * downhill)
+    assert (after < before).all()
+    assert np.median((after - before) / np.sum(downhill * gradient, axis=1)) == pytest.approx(1.0, abs=0.1)
+
+
+def test_a_gradient_before_a_frame_is_an_error(small_camera: Camera) -> None:
+    with pytest.raises(RuntimeError, match="observe a frame"):
+        Objective(scene_of(small_camera), LossWeights()).gradient(resting_state()[None])

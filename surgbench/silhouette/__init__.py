@@ -8,16 +8,20 @@ from surgbench.silhouette.evaluator import (
     RowSums,
     Score,
     SilhouetteEvaluator,
+    iou,
 )
+from surgbench.silhouette.keypoints import KeypointProjector
 from surgbench.silhouette.visibility import VisibilityEvaluator
 
 __all__ = [
     "ContourPoints",
     "Gradient",
+    "KeypointProjector",
     "Reference",
     "RowCrossings",
     "RowSums",
     "Score",
     "SilhouetteEvaluator",
     "VisibilityEvaluator",
+    "iou",
 ]

@@ -2,8 +2,8 @@
 
 The number of covered pixels is piecewise constant. Its gradient is that of the area integral behind it: the line
 integral, along the visible contour, of the integrand times the contour's normal velocity. The contour is sampled where
-it crosses pixel rows if it is steep, and where it crosses pixel columns if it is flat, so that each sample stands for at
-most sqrt(2) pixels of it, in horizontal and vertical shafts alike.
+it crosses pixel rows if it is steep, and where it crosses pixel columns if it is flat, so that each sample stands for
+at most sqrt(2) pixels of it, in horizontal and vertical shafts alike.
 
 An edge's crossing with a row moves as the material point under it moves across the edge. So each sample is a force in
 the image, pulled back through the projection to a force on that point of the link, and the sum over a link to a wrench
@@ -263,7 +263,7 @@ def _mend_ends(mesh_edges: int, mesh: Any, lens: Any, contour: Any, mask: Any, b
 
 
 @compiled
-def _push(
+def push(
     link: int, u: float, v: float, z: float, du: float, dv: float, area: float, overlap: float, lens: Any, wrench: Any
 ) -> Any:
     """Add forces in the image, ``(du, dv)`` times two weights, at a point of a link to the link's two wrenches."""
@@ -317,8 +317,8 @@ def sum_wrenches(
             i, j = j, i
         # A point cut off at the near plane moves as a point of the link: the edge's line in the image moves as it does.
         zi, zj = max(contour.depth[i], lens.near), max(contour.depth[j], lens.near)
-        _push(link, u0, v0, zi, du, dv, boundary.length[n] - end, boundary.mask_length[n] - mask_end, lens, wrench)
-        _push(link, u1, v1, zj, du, dv, end, mask_end, lens, wrench)
+        push(link, u0, v0, zi, du, dv, boundary.length[n] - end, boundary.mask_length[n] - mask_end, lens, wrench)
+        push(link, u1, v1, zj, du, dv, end, mask_end, lens, wrench)
 
 
 @compiled
@@ -405,5 +405,5 @@ def jacobians(
         t = (line - a0) / (a1 - a0)
         # Inverse depth is linear along the edge's image.
         wrench[0] = 0.0
-        _push(link, u, v, 1.0 / ((1.0 - t) / zi + t / zj), du, dv, 1.0, 0.0, lens, wrench)
+        push(link, u, v, 1.0 / ((1.0 - t) / zi + t / zj), du, dv, 1.0, 0.0, lens, wrench)
         pull_back(state, links, contour.pose, wrench[0], rates[k])

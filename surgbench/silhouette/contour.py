@@ -232,11 +232,11 @@ def trace(state: Any, links: Any, bodies: Any, mesh: Any, lens: Any, contour: An
     pose = contour.pose
     place_links(state, links, pose)
     for link in range(pose.shape[0]):
-        a, b = links.vertex_start[link], links.vertex_start[link + 1]
+        a, b = mesh.vertex_start[link], mesh.vertex_start[link + 1]
         x, y, z = mesh.x[a:b], mesh.y[a:b], mesh.z[a:b]
         u, v, depth = contour.u[a:b], contour.v[a:b], contour.depth[a:b]
         contour.clipped[link] = _project(x, y, z, lens, pose[link], u, v, depth)
-        a, b = links.facet_start[link], links.facet_start[link + 1]
+        a, b = mesh.facet_start[link], mesh.facet_start[link + 1]
         nx, ny, nz, offset = mesh.nx[a:b], mesh.ny[a:b], mesh.nz[a:b], mesh.offset[a:b]
         _mark_back(nx, ny, nz, offset, pose[link], contour.back[a:b])
     edge, back, facet0, facet1 = contour.edge, contour.back, mesh.edge_facet0, mesh.edge_facet1

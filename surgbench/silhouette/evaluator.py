@@ -18,7 +18,7 @@ from surgbench.silhouette import kernel
 from surgbench.silhouette.boundary import Boundary, boundary_scratch
 from surgbench.silhouette.contour import contour_scratch
 from surgbench.silhouette.layout import NEAR_M, Bodies, Lens, Links, Mesh, assemble, lens
-from surgbench.silhouette.spans import rows_scratch
+from surgbench.silhouette.spans import add_up, rows_scratch
 from surgbench.state import STATE_SIZE
 
 
@@ -35,8 +35,8 @@ class RowSums:
     def __init__(self, image: NDArray[np.integer] | Mask) -> None:
         height, width = image.shape
         dtype = np.uint16 if image.dtype == bool else np.int32
-        self.prefix: NDArray[np.integer] = np.zeros((height, width + 1), dtype=dtype)
-        np.cumsum(image, axis=1, dtype=dtype, out=self.prefix[:, 1:])
+        self.prefix: NDArray[np.integer] = np.empty((height, width + 1), dtype=dtype)
+        self._total = int(add_up(image, self.prefix))
 
 
 class Reference(RowSums):
@@ -50,7 +50,13 @@ class Reference(RowSums):
     def __init__(self, mask: Mask) -> None:
         self.mask: Mask = np.ascontiguousarray(mask, dtype=bool)
         super().__init__(self.mask)
-        self.area = int(np.count_nonzero(self.mask))
+        self.area = self._total
+
+
+def iou(area: NDArray[np.int64], overlap: NDArray[np.int64], other_area: int) -> FloatArray:
+    """Intersection over union of two masks, from their areas and overlap, pixels; 1 where both are empty."""
+    union = area + other_area - overlap
+    return np.where(union > 0, overlap / np.maximum(union, 1), 1.0)
 
 
 class Score(NamedTuple):
@@ -69,8 +75,7 @@ class Score(NamedTuple):
 
     def iou(self, reference: Reference) -> FloatArray:
         """Intersection over union with the reference, ``(N,)``; 1 where both are empty."""
-        union = self.area + reference.area - self.overlap
-        return np.where(union > 0, self.overlap / np.maximum(union, 1), 1.0)
+        return iou(self.area, self.overlap, reference.area)
 
 
 class Gradient(NamedTuple):

@@ -31,15 +31,13 @@ LANES = 16
 
 
 class Links(NamedTuple):
-    """Kinematic chains, and where each link's vertices and facets begin (padded to whole vectors)."""
+    """Kinematic chains."""
 
     parent: Starts  # (L,), -1 for the first link of an arm
     arm: Starts  # (L,)
     fixed: FloatArray  # (L, 3, 4)
     offset: FloatArray  # (L,)
     gain: FloatArray  # (L, 3)
-    vertex_start: Starts  # (L + 1,)
-    facet_start: Starts  # (L + 1,)
 
 
 class Bodies(NamedTuple):
@@ -55,6 +53,8 @@ class Bodies(NamedTuple):
 class Mesh(NamedTuple):
     """Vertices in their links' frames, the planes of facets, triangles, and edges between different facets."""
 
+    vertex_start: Starts  # (L + 1,) each link's vertices and facets, padded to whole vectors
+    facet_start: Starts  # (L + 1,)
     x: FloatArray  # (V,)
     y: FloatArray
     z: FloatArray
@@ -88,6 +88,20 @@ def lens(camera: Camera, near_m: float) -> Lens:
     return Lens(camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy, near_m)
 
 
+def assemble_links(instruments: Sequence[Instrument]) -> Links:
+    """Lay the chains of all arms end to end."""
+    counts = [len(instrument.spec.links) for instrument in instruments]
+    first = np.cumsum([0, *counts[:-1]])
+    parents = [np.where(i.parents < 0, -1, i.parents + offset) for i, offset in zip(instruments, first, strict=True)]
+    return Links(
+        parent=np.concatenate(parents).astype(np.int64),
+        arm=np.repeat(np.arange(len(instruments)), counts),
+        fixed=np.ascontiguousarray(np.concatenate([i.fixed_transforms for i in instruments])[:, :3, :]),
+        offset=np.concatenate([i.theta_offsets_rad for i in instruments]),
+        gain=np.concatenate([i.theta_gains for i in instruments]),
+    )
+
+
 def assemble(instruments: Sequence[Instrument]) -> tuple[Links, Bodies, Mesh]:
     """Lay the links and meshes of all arms end to end.
 
@@ -101,9 +115,7 @@ def assemble(instruments: Sequence[Instrument]) -> tuple[Links, Bodies, Mesh]:
     body_table: list[tuple[int, int, int]] = []
     vertex_start, facet_start, edge_start, face_start = [0], [0], [0], [0]
     link_count = 0
-    parents: list[Starts] = []
     for instrument in instruments:
-        parents.append(np.where(instrument.parents < 0, -1, instrument.parents + link_count).astype(np.int64))
         for link in instrument.spec.links:
             body = instrument.meshes.get(link.name)
             facets_before = facet_start[-1]
@@ -130,15 +142,6 @@ def assemble(instruments: Sequence[Instrument]) -> tuple[Links, Bodies, Mesh]:
             vertex_start.append(vertex_start[-1] + (0 if body is None else len(vertices[-1])))
             facet_start.append(facets_before)
             link_count += 1
-    links = Links(
-        parent=np.concatenate(parents),
-        arm=np.repeat(np.arange(len(instruments)), [len(i.spec.links) for i in instruments]),
-        fixed=np.ascontiguousarray(np.concatenate([i.fixed_transforms for i in instruments])[:, :3, :]),
-        offset=np.concatenate([i.theta_offsets_rad for i in instruments]),
-        gain=np.concatenate([i.theta_gains for i in instruments]),
-        vertex_start=np.array(vertex_start),
-        facet_start=np.array(facet_start),
-    )
     table = np.array(body_table, np.int64)
     bodies = Bodies(
         link=_column(table, 0),
@@ -150,6 +153,7 @@ def assemble(instruments: Sequence[Instrument]) -> tuple[Links, Bodies, Mesh]:
     points, facets = np.concatenate(vertices), np.concatenate(planes)
     corners, ends = np.concatenate(faces), np.concatenate(edges)
     mesh = Mesh(
+        vertex_start=np.array(vertex_start), facet_start=np.array(facet_start),
         x=_column(points, 0), y=_column(points, 1), z=_column(points, 2),
         nx=_column(facets, 0), ny=_column(facets, 1), nz=_column(facets, 2), offset=_column(facets, 3),
         faces=np.ascontiguousarray(corners[:, :3]), face_facet=_column(corners, 3),
@@ -157,7 +161,7 @@ def assemble(instruments: Sequence[Instrument]) -> tuple[Links, Bodies, Mesh]:
         edge_facet0=_column(ends, 2), edge_facet1=_column(ends, 3),
         edge_link=np.repeat(bodies.link, np.diff(bodies.edge_start)).astype(np.uint32),
     )  # fmt: skip
-    return links, bodies, mesh
+    return assemble_links(instruments), bodies, mesh
 
 
 def _column(table: NDArray[Any], index: int) -> NDArray[Any]:

@@ -286,3 +286,17 @@ def paint(top: int, bottom: int, height: int, rows: Any, image: Any) -> Any:
             image[row, rows.spans[place] >> COLUMN_BITS : rows.spans[place] & COLUMN_MASK] = True
         rows.slot[row] = 2 * row
     return furthest // (2 * height)
+
+
+@compiled
+def add_up(image: Any, prefix: Any) -> Any:
+    """Fill ``prefix (H, W + 1)`` with the sum of each row of ``image (H, W)`` before each column; returns the total."""
+    everything = np.int64(0)
+    for row in range(image.shape[0]):
+        total = np.int64(0)
+        prefix[row, 0] = 0
+        for col in range(image.shape[1]):
+            total += np.int64(image[row, col])
+            prefix[row, col + 1] = total
+        everything += total
+    return everything

@@ -149,10 +149,10 @@ class TorchSilhouetteEvaluator:
         self._frames = self._lay_frames(links)
         self._body = _Body(
             vertices=self._tensor(np.stack([mesh.x, mesh.y, mesh.z])),
-            vertex_link=self._tensor(_owners(links.vertex_start)),
+            vertex_link=self._tensor(_owners(mesh.vertex_start)),
             normals=self._tensor(np.stack([mesh.nx, mesh.ny, mesh.nz])),
             minus_offset=self._tensor(-mesh.offset),
-            facet_link=self._tensor(_owners(links.facet_start)),
+            facet_link=self._tensor(_owners(mesh.facet_start)),
             corners=self._tensor(mesh.faces.T.reshape(-1)),
             face_facet=self._tensor(mesh.face_facet),
             edge_facets=self._tensor(np.concatenate([mesh.edge_facet0, mesh.edge_facet1])),

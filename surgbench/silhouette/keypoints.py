@@ -1,0 +1,112 @@
+"""The tips of all arms in the image, and how they move with the state."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from surgbench.camera import Camera
+from surgbench.geometry import FloatArray
+from surgbench.instrument import Instrument
+from surgbench.silhouette.boundary import pull_back, push
+from surgbench.silhouette.compiled import compiled
+from surgbench.silhouette.contour import place_links
+from surgbench.silhouette.layout import NEAR_M, assemble_links, lens
+from surgbench.state import STATE_SIZE
+
+TIPS = 2
+
+
+class KeypointProjector:
+    """Projects the two tips of each arm for many states at once, and pulls derivatives back to the states.
+
+    Args:
+        instruments: One per arm; states have ``9 * len(instruments)`` components.
+        camera: The view.
+    """
+
+    def __init__(self, instruments: Sequence[Instrument], camera: Camera) -> None:
+        self._arms = len(instruments)
+        self._links = assemble_links(instruments)
+        self._lens = lens(camera, NEAR_M)
+        first = np.cumsum([0, *(len(instrument.spec.links) for instrument in instruments)])
+        tips = [(arm, tip) for arm, instrument in enumerate(instruments) for tip in instrument.spec.tips]
+        self._tip_link = np.array([first[arm] + instruments[arm].link_index[tip.link] for arm, tip in tips])
+        self._tip = np.array([tip.point_m for _, tip in tips], dtype=np.float64)
+        self._pose = np.empty((len(self._links.parent), 3, 4))
+        self._wrench = np.zeros((2, len(self._links.parent), 6))
+
+    def _batch(self, states: ArrayLike) -> FloatArray:
+        batch = np.ascontiguousarray(states, dtype=np.float64)
+        if batch.ndim != 2 or batch.shape[1] != STATE_SIZE * self._arms:
+            raise ValueError(f"states must be (N, {STATE_SIZE * self._arms}), got {batch.shape}")
+        return batch
+
+    def project(self, states: ArrayLike) -> FloatArray:
+        """Tips of ``(N, 9 * arms)`` states, ``(N, arms, 2, 2)`` pixels; NaN for tips at or behind the camera plane.
+
+        Raises:
+            ValueError: Wrong shape.
+        """
+        batch = self._batch(states)
+        places = np.empty((len(batch), len(self._tip), 2))
+        _project(batch, self._links, self._lens, self._tip_link, self._tip, self._pose, places)
+        return places.reshape(len(batch), self._arms, TIPS, 2)
+
+    def pull_back(self, states: ArrayLike, slopes: ArrayLike) -> FloatArray:
+        """Derivative with respect to the states of a function of the projected tips (the chain rule).
+
+        Args:
+            states: ``(N, 9 * arms)``.
+            slopes: ``(N, arms, 2, 2)`` derivative of the function with respect to each tip's pixel.
+
+        Returns:
+            ``(N, 9 * arms)``; tips behind the camera plane contribute nothing.
+
+        Raises:
+            ValueError: Wrong shape.
+        """
+        batch = self._batch(states)
+        forces = np.ascontiguousarray(slopes, dtype=np.float64)
+        if forces.shape != (len(batch), self._arms, TIPS, 2):
+            raise ValueError(f"slopes must be ({len(batch)}, {self._arms}, {TIPS}, 2), got {forces.shape}")
+        result = np.empty_like(batch)
+        scratch = self._pose, self._wrench
+        forces = forces.reshape(len(batch), -1, 2)
+        _pull_back(batch, self._links, self._lens, self._tip_link, self._tip, *scratch, forces, result)
+        return result
+
+
+@compiled(inline="always")
+def _place(pose: Any, point: Any, axis: int) -> Any:
+    return pose[axis, 0] * point[0] + pose[axis, 1] * point[1] + pose[axis, 2] * point[2] + pose[axis, 3]
+
+
+@compiled
+def _project(states: Any, links: Any, lens: Any, tip_link: Any, tip: Any, pose: Any, places: Any) -> Any:
+    for s in range(states.shape[0]):
+        place_links(states[s], links, pose)
+        for k in range(tip.shape[0]):
+            T = pose[tip_link[k]]
+            x, y, z = _place(T, tip[k], 0), _place(T, tip[k], 1), _place(T, tip[k], 2)
+            places[s, k, 0] = lens.fx * x / z + lens.cx if z > 0 else np.nan
+            places[s, k, 1] = lens.fy * y / z + lens.cy if z > 0 else np.nan
+
+
+@compiled
+def _pull_back(
+    states: Any, links: Any, lens: Any, tip_link: Any, tip: Any, pose: Any, wrench: Any, forces: Any, result: Any
+) -> Any:
+    for s in range(states.shape[0]):
+        place_links(states[s], links, pose)
+        wrench[0] = 0.0
+        for k in range(tip.shape[0]):
+            T = pose[tip_link[k]]
+            x, y, z = _place(T, tip[k], 0), _place(T, tip[k], 1), _place(T, tip[k], 2)
+            if z > 0:
+                u, v = lens.fx * x / z + lens.cx, lens.fy * y / z + lens.cy
+                push(tip_link[k], u, v, z, forces[s, k, 0], forces[s, k, 1], 1.0, 0.0, lens, wrench)
+        pull_back(states[s], links, pose, wrench[0], result[s])
