@@ -22,8 +22,7 @@ from surgbench.geometry import FloatArray
 from surgbench.silhouette.compiled import compiled
 from surgbench.silhouette.layout import Bodies, Indices, Lens, Links, Mesh
 from surgbench.silhouette.spans import Rows, cover, crossing, rows_scratch
-
-ARM_STATE = 9
+from surgbench.state import STATE_SIZE
 
 # Edges of at most so many columns a row are sampled by rows, the others by columns.
 STEEP = 1.0
@@ -51,6 +50,7 @@ class Boundary(NamedTuple):
     highest: NDArray[np.int32]
     visible: NDArray[np.bool_]  # (V,) whether the contour is visible at a vertex
     wrench: FloatArray  # (2, L, 6) force and moment on each link, of the area and of the overlap
+    maps: FloatArray  # (L, 9, 6) what they do to the state
 
 
 def boundary_scratch(links: Links, bodies: Bodies, mesh: Mesh, lens: Lens, layers: int | None = None) -> Boundary:
@@ -69,6 +69,7 @@ def boundary_scratch(links: Links, bodies: Bodies, mesh: Mesh, lens: Lens, layer
         lowest=lowest, highest=highest,
         visible=np.zeros(len(mesh.x), bool),
         wrench=np.zeros((2, len(links.parent), 6)),
+        maps=np.zeros((len(links.parent), STATE_SIZE, 6)),
     )  # fmt: skip
 
 
@@ -106,8 +107,9 @@ def _keep(n: Any, line: int, far: float, steep: float, mesh_edges: int, found: i
 
 @compiled
 def _sweep(
-    top: int, bottom: int, length: int, lines: int, steep: float, mesh_edges: int, found: int, rows: Any, boundary: Any
-) -> Any:
+    top: int, bottom: int, length: int, lines: int, spacing: int, steep: float, mesh_edges: int, found: int,
+    rows: Any, boundary: Any,
+) -> Any:  # fmt: skip
     """Keep the visible crossings of the lines that are filled, and clear them.
 
     Args:
@@ -115,6 +117,7 @@ def _sweep(
         bottom: The line after the last.
         length: Pixels in a line.
         lines: Number of lines in the image.
+        spacing: Keep crossings of every so many lines.
         steep: Crossings of edges with a slope above this are left out.
         mesh_edges: Contour edges from this number on close the outline at the near plane: they do not move.
         found: Crossings kept before.
@@ -130,6 +133,9 @@ def _sweep(
     for line in range(top, bottom):
         stop = np.int64(rows.slot[line])
         furthest = max(furthest, stop)
+        if spacing > 1 and line % spacing != 0:
+            rows.slot[line] = 2 * line
+            continue
         if stop == 2 * (lines + line):  # one span, as along a shaft
             found = _keep(rows.columns[2 * line + 1], line, far, steep, mesh_edges, found, rows, boundary)
             found = _keep(rows.columns[2 * line], line, far, steep, mesh_edges, found, rows, boundary)
@@ -158,12 +164,12 @@ def find_row_crossings(edges: int, bodies: Any, lens: Any, contour: Any, boundar
     """Where the visible contour, steep or flat, crosses pixel rows; returns their number and the layers needed."""
     mesh_edges = contour.start[bodies.link.shape[0]]
     a, z = cover(edges, bodies, contour, boundary.rows, lens.width, lens.height, False, True)
-    return _sweep(a, z, lens.width, lens.height, np.inf, mesh_edges, 0, boundary.rows, boundary)
+    return _sweep(a, z, lens.width, lens.height, 1, np.inf, mesh_edges, 0, boundary.rows, boundary)
 
 
 @compiled
-def find_boundary(edges: int, bodies: Any, lens: Any, contour: Any, boundary: Any) -> Any:
-    """Sample the visible contour of a traced state: steep edges by rows, flat ones by columns.
+def find_boundary(edges: int, spacing: int, bodies: Any, lens: Any, contour: Any, boundary: Any) -> Any:
+    """Sample the visible contour of a traced state: steep edges by every so many rows, flat ones by columns.
 
     Returns:
         The number of crossings with rows, and with rows and columns; and the layers that were needed. If there was no
@@ -172,9 +178,9 @@ def find_boundary(edges: int, bodies: Any, lens: Any, contour: Any, boundary: An
     width, height = lens.width, lens.height
     mesh_edges = contour.start[bodies.link.shape[0]]
     a, z = cover(edges, bodies, contour, boundary.rows, width, height, False, True)
-    row_found, row_layers = _sweep(a, z, width, height, STEEP, mesh_edges, 0, boundary.rows, boundary)
+    row_found, row_layers = _sweep(a, z, width, height, spacing, STEEP, mesh_edges, 0, boundary.rows, boundary)
     a, z = cover(edges, bodies, contour, boundary.columns, width, height, True, True)
-    found, layers = _sweep(a, z, height, width, 1.0 / STEEP, mesh_edges, row_found, boundary.columns, boundary)
+    found, layers = _sweep(a, z, height, width, spacing, 1.0 / STEEP, mesh_edges, row_found, boundary.columns, boundary)
     return row_found, found, max(row_layers, layers)
 
 
@@ -322,48 +328,69 @@ def sum_wrenches(
 
 
 @compiled
-def pull_back(state: Any, links: Any, pose: Any, wrench: Any, gradient: Any) -> Any:
-    """Derivative with respect to the state of what wrenches on links do work on (principle of virtual work).
+def map_links(state: Any, links: Any, pose: Any, maps: Any) -> Any:
+    """How forces on each link do work on the state of its arm.
 
     Args:
         state: ``(9 * arms,)``.
         links: The chains.
         pose: ``(L, 3, 4)`` T_cam_link.
-        wrench: ``(L, 6)`` force and moment about the camera centre on each link, camera frame; used up.
-        gradient: ``(9 * arms,)``, filled.
+        maps: ``(L, 9, 6)``, filled: the derivative with respect to the arm's state of what a force and a moment about
+            the camera centre, camera frame, do work on.
+    """
+    for link in range(links.parent.shape[0]):
+        base = links.arm[link] * STATE_SIZE
+        parent = links.parent[link]
+        here = maps[link]
+        if parent >= 0:
+            for i in range(STATE_SIZE):
+                for j in range(6):
+                    here[i, j] = maps[parent, i, j]
+        else:
+            here[:] = 0.0
+            here[3, 0] = here[4, 1] = here[5, 2] = 1.0
+            # R = Ry(gamma) Rx(alpha) Rz(beta): the axes that the angles turn about, seen from the camera.
+            ca, sa = np.cos(state[base]), np.sin(state[base])
+            cg, sg = np.cos(state[base + 2]), np.sin(state[base + 2])
+            x, y, z = state[base + 3], state[base + 4], state[base + 5]
+            _add_axis(here[0], 1.0, cg, 0.0, -sg, x, y, z)
+            _add_axis(here[1], 1.0, sg * ca, -sa, cg * ca, x, y, z)
+            _add_axis(here[2], 1.0, 0.0, 1.0, 0.0, x, y, z)
+        axis, origin = pose[link, :, 2], pose[link, :, 3]
+        for joint in range(3):
+            gain = links.gain[link, joint]
+            if gain != 0.0:
+                _add_axis(here[6 + joint], gain, axis[0], axis[1], axis[2], origin[0], origin[1], origin[2])
+
+
+@compiled(inline="always")
+def _add_axis(row: Any, gain: float, ax: float, ay: float, az: float, x: float, y: float, z: float) -> Any:
+    """A rotation about an axis through a point: its work is the moment about the point, ``a . (m - p x f)``."""
+    row[0] -= gain * (ay * z - az * y)
+    row[1] -= gain * (az * x - ax * z)
+    row[2] -= gain * (ax * y - ay * x)
+    row[3] += gain * ax
+    row[4] += gain * ay
+    row[5] += gain * az
+
+
+@compiled
+def pull_back(links: Any, maps: Any, wrench: Any, gradient: Any) -> Any:
+    """Derivative with respect to the state of what wrenches ``(L, 6)`` on links do work on (principle of virtual work).
+
+    ``gradient (9 * arms,)`` is filled.
     """
     gradient[:] = 0.0
-    for link in range(links.parent.shape[0] - 1, -1, -1):
-        base = links.arm[link] * ARM_STATE
-        f, m = wrench[link, :3], wrench[link, 3:]
-        axis, origin = pose[link, :, 2], pose[link, :, 3]
-        turning = (
-            axis[0] * (m[0] - origin[1] * f[2] + origin[2] * f[1])
-            + axis[1] * (m[1] - origin[2] * f[0] + origin[0] * f[2])
-            + axis[2] * (m[2] - origin[0] * f[1] + origin[1] * f[0])
-        )
-        for joint in range(3):
-            gradient[base + 6 + joint] += links.gain[link, joint] * turning
-        parent = links.parent[link]
-        if parent >= 0:
-            for i in range(6):
-                wrench[parent, i] += wrench[link, i]
-            continue
-        # R = Ry(gamma) Rx(alpha) Rz(beta): the axes that the angles turn about, seen from the camera.
-        x, y, z = state[base + 3], state[base + 4], state[base + 5]
-        mx, my, mz = m[0] - y * f[2] + z * f[1], m[1] - z * f[0] + x * f[2], m[2] - x * f[1] + y * f[0]
-        ca, sa = np.cos(state[base]), np.sin(state[base])
-        cg, sg = np.cos(state[base + 2]), np.sin(state[base + 2])
-        gradient[base] += cg * mx - sg * mz
-        gradient[base + 1] += sg * ca * mx - sa * my + cg * ca * mz
-        gradient[base + 2] += my
-        for i in range(3):
-            gradient[base + 3 + i] += f[i]
+    for link in range(links.parent.shape[0]):
+        base = links.arm[link] * STATE_SIZE
+        for i in range(STATE_SIZE):
+            for j in range(6):
+                gradient[base + i] += maps[link, i, j] * wrench[link, j]
 
 
 @compiled
 def jacobians(
-    row_found: int, found: int, state: Any, links: Any, mesh: Any, lens: Any, contour: Any, boundary: Any,
+    row_found: int, found: int, spacing: int, state: Any, links: Any, mesh: Any, lens: Any, contour: Any, boundary: Any,
     points: Any, normals: Any, lengths: Any, arms: Any, rates: Any,
 ) -> Any:  # fmt: skip
     """Place, outward normal, length and Jacobian of the displacement along the normal, for each crossing.
@@ -371,6 +398,7 @@ def jacobians(
     Args:
         row_found: Number of crossings with rows.
         found: Number K of all crossings.
+        spacing: Rows or columns from one to the next.
         state: ``(9 * arms,)``.
         links: The chains.
         mesh: The meshes.
@@ -383,7 +411,7 @@ def jacobians(
         arms: ``(K,)`` arm that each belongs to, filled.
         rates: ``(K, 9 * arms)`` pixels per radian or metre, filled.
     """
-    wrench = boundary.wrench
+    map_links(state, links, contour.pose, boundary.maps)
     for k in range(found):
         n, line, at = boundary.edge[k], boundary.line[k], boundary.at[k]
         across = k >= row_found
@@ -394,7 +422,7 @@ def jacobians(
         u, v, du, dv = (line, at, -slope * scale, scale) if across else (at, line, scale, -slope * scale)
         points[k, 0], points[k, 1] = u, v
         normals[k, 0], normals[k, 1] = du, dv
-        lengths[k] = length
+        lengths[k] = length * spacing
         e = contour.edge[n]
         i, j, link = mesh.edge_start[e], mesh.edge_end[e], mesh.edge_link[e]
         arms[k] = links.arm[link]
@@ -404,6 +432,14 @@ def jacobians(
         a0, a1 = (contour.u0[n], contour.u1[n]) if across else (contour.v0[n], contour.v1[n])
         t = (line - a0) / (a1 - a0)
         # Inverse depth is linear along the edge's image.
-        wrench[0] = 0.0
-        push(link, u, v, 1.0 / ((1.0 - t) / zi + t / zj), du, dv, 1.0, 0.0, lens, wrench)
-        pull_back(state, links, contour.pose, wrench[0], rates[k])
+        nearness = (1.0 - t) / zi + t / zj
+        fx, fy = du * lens.fx * nearness, dv * lens.fy * nearness
+        px, py, pz = (u - lens.cx) / lens.fx / nearness, (v - lens.cy) / lens.fy / nearness, 1.0 / nearness
+        fz = -(fx * px + fy * py) * nearness
+        mx, my, mz = py * fz - pz * fy, pz * fx - px * fz, px * fy - py * fx
+        base = links.arm[link] * STATE_SIZE
+        rates[k, :] = 0.0
+        for i in range(STATE_SIZE):
+            row = boundary.maps[link, i]
+            work = row[0] * fx + row[1] * fy + row[2] * fz + row[3] * mx + row[4] * my + row[5] * mz
+            rates[k, base + i] = work

@@ -10,8 +10,8 @@ from numba import njit
 def compiled(function: Any = None, *, inline: str = "never") -> Any:
     """The ``njit`` of numba as all inner loops use it.
 
-    Compiled once per machine, without the interpreter's lock, dividing as NumPy does. And without counting references:
-    nothing here makes an array, and the counting (atomic, at every slice) took 40 % of the time.
+    Compiled once per machine, without the interpreter's lock, dividing as NumPy does. And without counting references
+    (atomic, at every slice), which took 40 % of the time; so that a function that made an array would not compile.
     """
     options: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy", "inline": inline, "_nrt": False}
     decorator: Any = njit(**options)

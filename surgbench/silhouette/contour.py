@@ -211,7 +211,7 @@ def _gather(edge: Any, mesh: Any, contour: Any) -> None:
     u0, v0, u1, v1 = contour.u0, contour.v0, contour.u1, contour.v1
     for n in range(edge.shape[0]):
         e = edge[n]
-        i, j = start[e], end[e]
+        i, j = np.uint32(start[e]), np.uint32(end[e])
         turn = np.uint32(back[along[e]]) * (i ^ j)
         i ^= turn
         j ^= turn

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
@@ -105,7 +106,7 @@ class RowCrossings(NamedTuple):
 
 
 class ContourPoints(NamedTuple):
-    """Samples of the visible contour of a silhouette, at most sqrt(2) pixels apart along it.
+    """Samples of the visible contour of a silhouette.
 
     Attributes:
         points_px: ``(K, 2)`` float64, column and row.
@@ -156,6 +157,7 @@ class SilhouetteEvaluator:
         self._links, self._bodies, self._mesh = assemble(self.instruments)
         self._contours = [contour_scratch(self._links, self._bodies, self._mesh) for _ in range(threads)]
         self._make_room(None)
+        self._samples = self._room_for_samples(2 * (camera.width + camera.height))
 
     def _make_room(self, layers: int | None) -> None:
         self._rows = [rows_scratch(self._bodies, self._mesh, self.camera.height, layers) for _ in self._contours]
@@ -200,7 +202,7 @@ class SilhouetteEvaluator:
         Raises:
             ValueError: Wrong shape of states or mask.
         """
-        counts = self._count(states, reference)
+        counts = self._count(states, reference, 6)
         return Score(counts[0], counts[1], counts[2:].T)
 
     def sum_over(self, states: ArrayLike, sums: RowSums) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -216,13 +218,13 @@ class SilhouetteEvaluator:
         Raises:
             ValueError: Wrong shape of states or image.
         """
-        counts = self._count(states, sums)
-        return counts[0], counts[1]
+        area, total = self._count(states, sums, 2)
+        return area, total
 
-    def _count(self, states: ArrayLike, sums: RowSums) -> NDArray[np.int64]:
+    def _count(self, states: ArrayLike, sums: RowSums, numbers: int) -> NDArray[np.int64]:
         batch = self._states(states, 2)
         self._check_size(*sums.prefix.shape)
-        counts = np.empty((6, len(batch)), np.int64)
+        counts = np.empty((numbers, len(batch)), np.int64)
         while not self._fits(self._count_in_threads(batch, sums, counts)):
             pass
         return counts
@@ -274,21 +276,37 @@ class SilhouetteEvaluator:
             if self._fits(kernel.gradient(batch, *self._fixed, *scratch, reference.mask, result)):
                 return Gradient(result[0], result[1])
 
-    def contour_points(self, state: ArrayLike) -> ContourPoints:
+    def contour_points(self, state: ArrayLike, spacing_px: int = 2) -> ContourPoints:
         """Sample the visible contour of one state ``(9 * arms,)``, for least-squares trackers.
 
-        Parts of the image's border that the silhouette reaches are no contour, nor is where the near plane cuts it.
+        Steep parts are sampled on rows and flat ones on columns. Parts of the image's border that the silhouette
+        reaches are no contour, nor is where the near plane cuts it.
+
+        Args:
+            state: ``(9 * arms,)``.
+            spacing_px: Take every so many rows and columns.
+
+        Raises:
+            ValueError: Wrong shape, or a spacing below 1.
         """
         one = self._states(state, 1)
-        most = 4 * (self.camera.width + self.camera.height)
+        if spacing_px < 1:
+            raise ValueError(f"spacing_px must be at least 1, got {spacing_px}")
         while True:
-            place, normal, rate = np.empty((most, 2)), np.empty((most, 2)), np.empty((most, len(one)))
-            length, arm = np.empty(most), np.empty(most, np.int64)
+            samples = self._samples
             scratch = self._contours[0], self._scratch_boundary()
-            found, layers = kernel.contour_points(one, *self._fixed, *scratch, place, normal, length, arm, rate)
-            if self._fits(layers) and found <= most:
-                return ContourPoints(place[:found], normal[:found], length[:found], arm[:found], rate[:found])
-            most = max(most, found)
+            found, layers = kernel.contour_points(one, spacing_px, *self._fixed, *scratch, *samples)
+            if self._fits(layers) and found <= len(samples.arm):
+                places, normals, lengths, arm, rates = samples
+                taken = (places[:found], normals[:found], lengths[:found], arm[:found], rates[:found])
+                return ContourPoints(*copy.deepcopy(taken))
+            self._samples = self._room_for_samples(max(len(samples.arm), found))
+
+    def _room_for_samples(self, count: int) -> ContourPoints:
+        rates = np.empty((count, STATE_SIZE * len(self.instruments)))
+        return ContourPoints(
+            np.empty((count, 2)), np.empty((count, 2)), np.empty(count), np.empty(count, np.int64), rates
+        )
 
     def row_crossings(self, state: ArrayLike) -> RowCrossings:
         """Where the visible contour of one state ``(9 * arms,)`` crosses the centre lines of pixel rows."""

@@ -5,7 +5,14 @@ from __future__ import annotations
 from typing import Any
 
 from surgbench.silhouette import spans
-from surgbench.silhouette.boundary import find_boundary, find_row_crossings, jacobians, pull_back, sum_wrenches
+from surgbench.silhouette.boundary import (
+    find_boundary,
+    find_row_crossings,
+    jacobians,
+    map_links,
+    pull_back,
+    sum_wrenches,
+)
 from surgbench.silhouette.compiled import compiled
 from surgbench.silhouette.contour import trace
 from surgbench.silhouette.spans import cover, total
@@ -41,7 +48,7 @@ def score(
         contour: Scratch of this thread.
         rows: Scratch of this thread.
         prefix: ``(H, W + 1)`` integers: sum of the image's row before each column.
-        counts: ``(6, N)`` int64, filled with the pixels covered, the sums and the bounding boxes.
+        counts: ``(2, N)`` or ``(6, N)`` int64, filled with the pixels covered, the sums and the bounding boxes.
         taken: ``(N,)`` bool, set where a thread is at work on a state.
         share: Number of this thread.
         shares: Number of threads.
@@ -82,24 +89,32 @@ def gradient(
     layers = 0
     for s in range(states.shape[0]):
         edges = trace(states[s], links, bodies, mesh, lens, contour)
-        row_found, found, needed = find_boundary(edges, bodies, lens, contour, boundary)
+        row_found, found, needed = find_boundary(edges, 1, bodies, lens, contour, boundary)
         layers = max(layers, needed)
         sum_wrenches(row_found, found, bodies, mesh, lens, contour, mask, boundary)
+        map_links(states[s], links, contour.pose, boundary.maps)
         for part in range(2):
-            pull_back(states[s], links, contour.pose, boundary.wrench[part], gradients[part, s])
+            pull_back(links, boundary.maps, boundary.wrench[part], gradients[part, s])
     return layers
 
 
 @compiled
 def contour_points(
-    state: Any, links: Any, bodies: Any, mesh: Any, lens: Any, contour: Any, boundary: Any,
+    state: Any, spacing: int, links: Any, bodies: Any, mesh: Any, lens: Any, contour: Any, boundary: Any,
     points: Any, normals: Any, lengths: Any, arms: Any, rates: Any,
 ) -> Any:  # fmt: skip
-    """Sample the visible contour of one state with normals and Jacobians; returns the number, and as :func:`score`."""
+    """Sample the visible contour of one state with normals and Jacobians.
+
+    Returns:
+        The number of samples (if there is no room for so many, none is filled), and as :func:`score`.
+    """
     edges = trace(state, links, bodies, mesh, lens, contour)
-    row_found, found, layers = find_boundary(edges, bodies, lens, contour, boundary)
+    row_found, found, layers = find_boundary(edges, spacing, bodies, lens, contour, boundary)
     if found <= lengths.shape[0]:
-        jacobians(row_found, found, state, links, mesh, lens, contour, boundary, points, normals, lengths, arms, rates)
+        jacobians(
+            row_found, found, spacing, state, links, mesh, lens, contour, boundary,
+            points, normals, lengths, arms, rates,
+        )  # fmt: skip
     return found, layers
 
 

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from surgbench.camera import Camera
 from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument
-from surgbench.silhouette.boundary import pull_back, push
+from surgbench.silhouette.boundary import map_links, pull_back, push
 from surgbench.silhouette.compiled import compiled
 from surgbench.silhouette.contour import place_links
 from surgbench.silhouette.layout import NEAR_M, assemble_links, lens
@@ -38,6 +38,7 @@ class KeypointProjector:
         self._tip = np.array([tip.point_m for _, tip in tips], dtype=np.float64)
         self._pose = np.empty((len(self._links.parent), 3, 4))
         self._wrench = np.zeros((2, len(self._links.parent), 6))
+        self._maps = np.zeros((len(self._links.parent), STATE_SIZE, 6))
 
     def _batch(self, states: ArrayLike) -> FloatArray:
         batch = np.ascontiguousarray(states, dtype=np.float64)
@@ -74,7 +75,7 @@ class KeypointProjector:
         if forces.shape != (len(batch), self._arms, TIPS, 2):
             raise ValueError(f"slopes must be ({len(batch)}, {self._arms}, {TIPS}, 2), got {forces.shape}")
         result = np.empty_like(batch)
-        scratch = self._pose, self._wrench
+        scratch = self._pose, self._wrench, self._maps
         forces = forces.reshape(len(batch), -1, 2)
         _pull_back(batch, self._links, self._lens, self._tip_link, self._tip, *scratch, forces, result)
         return result
@@ -98,8 +99,9 @@ def _project(states: Any, links: Any, lens: Any, tip_link: Any, tip: Any, pose: 
 
 @compiled
 def _pull_back(
-    states: Any, links: Any, lens: Any, tip_link: Any, tip: Any, pose: Any, wrench: Any, forces: Any, result: Any
-) -> Any:
+    states: Any, links: Any, lens: Any, tip_link: Any, tip: Any, pose: Any, wrench: Any, maps: Any, forces: Any,
+    result: Any,
+) -> Any:  # fmt: skip
     for s in range(states.shape[0]):
         place_links(states[s], links, pose)
         wrench[0] = 0.0
@@ -109,4 +111,5 @@ def _pull_back(
             if z > 0:
                 u, v = lens.fx * x / z + lens.cx, lens.fy * y / z + lens.cy
                 push(tip_link[k], u, v, z, forces[s, k, 0], forces[s, k, 1], 1.0, 0.0, lens, wrench)
-        pull_back(states[s], links, pose, wrench[0], result[s])
+        map_links(states[s], links, pose, maps)
+        pull_back(links, maps, wrench[0], result[s])

@@ -97,23 +97,43 @@ def column(u: float, width: float) -> Any:
     return np.uint32(min(max(np.ceil(u), 0.0), width))
 
 
-@compiled(inline="always")
+@compiled
 def _enter(first_edge: int, last_edge: int, top: int, bottom: int, width: float, numbers: bool, rows: Any) -> Any:
-    """Write edges into their rows' next span; returns the rows touched so far."""
-    columns, tally, slot = rows.columns, rows.tally, rows.slot
+    """Write edges into their rows' next span.
+
+    Returns:
+        The first row touched so far and the row after the last, and in how many rows an edge begins or ends a span.
+    """
+    columns, slot = rows.columns, rows.slot
+    begun, ended = np.int64(0), np.int64(0)
     for n in range(first_edge, last_edge):
         first, last = rows.first[n], rows.last[n]
         u, v, slope, half = rows.u[n], rows.v[n], rows.slope[n], rows.begins[n]
         if numbers:
             for row in range(first, last):
                 columns[slot[row] + half] = n
-                tally[row] += 1
         else:
             for row in range(first, last):
                 columns[slot[row] + half] = np.uint32(min(max(np.ceil(u + (row - v) * slope), 0.0), width))
-                tally[row] += 1
+        crossed = max(np.int64(last) - np.int64(first), 0)
+        begun += crossed * half
+        ended += crossed * (1 - half)
         top, bottom = min(top, first), max(bottom, last)
-    return top, bottom
+    return top, bottom, begun, ended
+
+
+@compiled
+def _next_layer(slot: Any, step: Any, end: Any) -> Any:
+    for r in range(slot.shape[0]):
+        slot[r] += step if slot[r] < end else np.int32(0)
+
+
+@compiled
+def _tally(first_edge: int, last_edge: int, rows: Any) -> Any:
+    """Count the crossings of each row."""
+    for n in range(first_edge, last_edge):
+        for row in range(rows.first[n], rows.last[n]):
+            rows.tally[row] += 1
 
 
 @compiled
@@ -197,13 +217,22 @@ def cover(
     limit = float(width)
     top, bottom = height, 0
     for b in range(bodies.link.shape[0]):
-        a, z = _enter(contour.start[b], contour.start[b + 1], height, 0, limit, numbers, rows)
-        a, z = _enter(contour.closing[b], contour.closing[b + 1], a, z, limit, numbers, rows)
+        a, z, begun, ended = _enter(contour.start[b], contour.start[b + 1], height, 0, limit, numbers, rows)
+        closed = contour.closing[b] == contour.closing[b + 1]
+        if not closed:
+            a, z, _, _ = _enter(contour.closing[b], contour.closing[b + 1], a, z, limit, numbers, rows)
         if a >= z:
             continue
-        if _advance(rows.tally[a:z], rows.slot[a:z], step, end):
-            _wind(b, a, z, step, end, limit, numbers, contour, rows)
-        rows.tally[a:z] = 0
+        # What hangs together is crossed by every row between its first and its last. So if the crossings are as few as
+        # that, each of these rows has one span. What the near plane cuts may fall apart.
+        if closed and begun == z - a and ended == z - a:
+            _next_layer(rows.slot[a:z], step, end)
+        else:
+            _tally(contour.start[b], contour.start[b + 1], rows)
+            _tally(contour.closing[b], contour.closing[b + 1], rows)
+            if _advance(rows.tally[a:z], rows.slot[a:z], step, end):
+                _wind(b, a, z, step, end, limit, numbers, contour, rows)
+            rows.tally[a:z] = 0
         top, bottom = min(top, a), max(bottom, z)
     return top, bottom
 
@@ -212,6 +241,7 @@ def cover(
 def _sum(
     top: int, bottom: int, width: int, height: int, slot: Any, spans: Any, merged: Any, prefix: Any, counts: Any
 ) -> Any:
+    boxed = counts.shape[0] > 2
     covered, inside, furthest = np.int64(0), np.int64(0), np.int64(0)
     left, right, first_row, last_row = np.int64(width), np.int64(0), np.int64(height), np.int64(-1)
     for row in range(top, bottom):
@@ -236,8 +266,8 @@ def _sum(
                 if next_begin > end or end == begin:
                     covered += end - begin
                     inside += np.int64(prefix[row, end]) - np.int64(prefix[row, begin])
-                    left = min(left, begin) if end > begin else left
-                    right = max(right, end) if end > begin else right
+                    if boxed and end > begin:
+                        left, right = min(left, begin), max(right, end)
                     begin, end = next_begin, next_end
                 else:
                     end = max(end, next_end)
@@ -245,13 +275,14 @@ def _sum(
             continue
         covered += end - begin
         inside += np.int64(prefix[row, end]) - np.int64(prefix[row, begin])
-        left = min(left, begin) if end > begin else left
-        right = max(right, end) if end > begin else right
-        if covered > before:
+        if boxed and end > begin:
+            left, right = min(left, begin), max(right, end)
+        if boxed and covered > before:
             first_row, last_row = min(first_row, np.int64(row)), np.int64(row)
     counts[0], counts[1] = covered, inside
-    counts[2], counts[3], counts[4], counts[5] = left, first_row, right, last_row + 1
-    if covered == 0:
+    if boxed:
+        counts[2], counts[3], counts[4], counts[5] = left, first_row, right, last_row + 1
+    if boxed and covered == 0:
         counts[2:] = 0
     return furthest // (2 * height)
 
@@ -267,7 +298,7 @@ def total(top: int, bottom: int, width: int, height: int, rows: Any, prefix: Any
         height: Of the image.
         rows: The spans.
         prefix: ``(H, W + 1)`` integers: sum of an image's row before each column.
-        counts: ``(6,)``, filled: pixels covered, the sum of the image over them, and their bounding box.
+        counts: ``(2,)`` or ``(6,)``, filled: pixels covered, the sum of the image over them, and their bounding box.
 
     Returns:
         The layers that were needed.
