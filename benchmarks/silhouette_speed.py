@@ -12,6 +12,7 @@ import argparse
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
@@ -23,6 +24,9 @@ from surgbench.instrument import Instrument
 from surgbench.instrument.shapes import join_meshes, loft_mesh
 from surgbench.instrument.spec import Loft
 from surgbench.silhouette import Reference, SilhouetteEvaluator
+from surgbench.silhouette.compiled import compiled
+from surgbench.silhouette.contour import place_links, trace
+from surgbench.silhouette.spans import cover, total
 
 TRIANGLES = (500, 1_064, 2_000, 5_000, 10_000, 20_000, 50_000)
 SIZES = ((350, 246), (700, 493), (1050, 740), (1400, 986))
@@ -90,7 +94,49 @@ def scorer(instrument: Instrument, camera: Camera, state: FloatArray, states: Fl
     """Scores the states against the true state's mask."""
     evaluator = SilhouetteEvaluator([instrument], camera)
     reference = Reference(evaluator.mask(state))
-    return lambda: evaluator.score(states, reference)
+    return lambda: evaluator.sum_over(states, reference)
+
+
+def stages(evaluator: SilhouetteEvaluator, reference: Reference, states: FloatArray) -> dict[str, Callable[[], object]]:
+    """The score cut off after each of its stages."""
+    fixed, prefix = evaluator._fixed, reference.prefix
+    contour, rows = evaluator._contours[0], evaluator._rows[0]
+    counts = np.empty(2, np.int64)
+
+    @compiled
+    def kinematics(states: Any, links: Any, contour: Any) -> Any:
+        for s in range(states.shape[0]):
+            place_links(states[s], links, contour.pose)
+
+    @compiled
+    def tracing(states: Any, links: Any, bodies: Any, mesh: Any, lens: Any, contour: Any) -> Any:
+        for s in range(states.shape[0]):
+            trace(states[s], links, bodies, mesh, lens, contour)
+
+    @compiled
+    def covering(states: Any, links: Any, bodies: Any, mesh: Any, lens: Any, contour: Any, rows: Any) -> Any:
+        for s in range(states.shape[0]):
+            edges = trace(states[s], links, bodies, mesh, lens, contour)
+            top, bottom = cover(edges, bodies, contour, rows, lens.width, lens.height, False, False)
+            for row in range(top, bottom):
+                rows.slot[row] = 2 * row
+
+    @compiled
+    def summing(
+        states: Any, links: Any, bodies: Any, mesh: Any, lens: Any, contour: Any, rows: Any, prefix: Any, counts: Any
+    ) -> Any:
+        for s in range(states.shape[0]):
+            edges = trace(states[s], links, bodies, mesh, lens, contour)
+            top, bottom = cover(edges, bodies, contour, rows, lens.width, lens.height, False, False)
+            total(top, bottom, lens.width, lens.height, rows, prefix, counts)
+
+    return {
+        "forward kinematics": lambda: kinematics(states, fixed[0], contour),
+        "projection, facing, contour": lambda: tracing(states, *fixed, contour),
+        "spans of the bodies": lambda: covering(states, *fixed, contour, rows),
+        "merging and sums": lambda: summing(states, *fixed, contour, rows, prefix, counts),
+        "the call from Python": lambda: evaluator.sum_over(states, reference),
+    }
 
 
 def main() -> None:
@@ -119,18 +165,26 @@ def main() -> None:
     for width, us in least_us(calls, count, rounds).items():
         print(f"| {width} | {us:.1f} |")
 
+    print("\n| stage | us per candidate | so far |\n|---|---:|---:|")
+    before = 0.0
+    for name, us in least_us(stages(evaluator, reference, states), count, rounds).items():
+        print(f"| {name} | {us - before:.1f} | {us:.1f} |")
+        before = us
+
     print("\n| what | us per candidate | ratio to score |\n|---|---:|---:|")
     two = SilhouetteEvaluator([work.instrument], work.camera, threads=2)
     calls = {
-        "score, one thread": lambda: evaluator.score(states, reference),
-        "score, two threads": lambda: two.score(states, reference),
+        "areas and overlaps, one thread": lambda: evaluator.sum_over(states, reference),
+        "areas and overlaps, two threads": lambda: two.sum_over(states, reference),
+        "and bounding boxes": lambda: evaluator.score(states, reference),
         "gradient": lambda: evaluator.gradient(states, reference),
-        "contour points and Jacobians": lambda: [evaluator.contour_points(state) for state in states],
+        "contour points, every 2 px": lambda: [evaluator.contour_points(state) for state in states],
+        "contour points, every pixel": lambda: [evaluator.contour_points(state, 1) for state in states],
         "mask": lambda: [evaluator.mask(state) for state in states],
     }
     times = least_us(calls, count, rounds)
     for name, us in times.items():
-        print(f"| {name} | {us:.1f} | {us / times['score, one thread']:.2f} |")
+        print(f"| {name} | {us:.1f} | {us / next(iter(times.values())):.2f} |")
 
 
 if __name__ == "__main__":

@@ -19,6 +19,7 @@ COMMANDS = [
     ("report",),
     ("video",),
     ("list",),
+    ("bench", "silhouettes"),
 ]
 
 
