@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from surgbench.geometry import FloatArray
 from surgbench.silhouette.compiled import compiled
+from surgbench.silhouette.contour import edge_ends
 from surgbench.silhouette.layout import Bodies, Indices, Lens, Links, Mesh
 from surgbench.silhouette.spans import Rows, cover, crossing, rows_scratch
 from surgbench.state import STATE_SIZE
@@ -237,10 +238,7 @@ def _mend_ends(mesh_edges: int, mesh: Any, lens: Any, contour: Any, mask: Any, b
         steep = abs(u1 - u0) <= STEEP * abs(v1 - v0)
         rows = boundary.rows if steep else boundary.columns
         a0, a1 = (v0, v1) if steep else (u0, u1)
-        e = contour.edge[n]
-        i, j = mesh.edge_start[e], mesh.edge_end[e]
-        if contour.back[mesh.edge_facet1[e]]:
-            i, j = j, i
+        i, j = edge_ends(n, mesh, contour)
         # At the start, if the first line it crosses on this side is a visible one; then at the end.
         for side in range(2):
             u, v, a, vertex = (u0, v0, a0, i) if side == 0 else (u1, v1, a1, j)
@@ -260,8 +258,7 @@ def _mend_ends(mesh_edges: int, mesh: Any, lens: Any, contour: Any, mask: Any, b
         rows = boundary.rows if steep else boundary.columns
         if rows.first[n] < rows.last[n]:
             continue
-        e = contour.edge[n]
-        i, j = mesh.edge_start[e], mesh.edge_end[e]
+        i, j = edge_ends(n, mesh, contour)
         u, v = (u0 + u1) / 2, (v0 + v1) / 2
         if (visible[i] or visible[j]) and _within(u, v, lens):
             visible[i] = visible[j] = True
@@ -317,10 +314,8 @@ def sum_wrenches(
         mask_end = (boundary.mask_moment[n] - a0 * boundary.mask_length[n]) / (a1 - a0)
         sign = -1.0 if rows.begins[n] else 1.0
         du, dv = (sign, -sign * rows.slope[n]) if steep else (-sign * rows.slope[n], sign)
-        e = contour.edge[n]
-        i, j, link = mesh.edge_start[e], mesh.edge_end[e], mesh.edge_link[e]
-        if contour.back[mesh.edge_facet1[e]]:
-            i, j = j, i
+        i, j = edge_ends(n, mesh, contour)
+        link = mesh.edge_link[contour.edge[n]]
         # A point cut off at the near plane moves as a point of the link: the edge's line in the image moves as it does.
         zi, zj = max(contour.depth[i], lens.near), max(contour.depth[j], lens.near)
         push(link, u0, v0, zi, du, dv, boundary.length[n] - end, boundary.mask_length[n] - mask_end, lens, wrench)
@@ -423,11 +418,9 @@ def jacobians(
         points[k, 0], points[k, 1] = u, v
         normals[k, 0], normals[k, 1] = du, dv
         lengths[k] = length * spacing
-        e = contour.edge[n]
-        i, j, link = mesh.edge_start[e], mesh.edge_end[e], mesh.edge_link[e]
+        i, j = edge_ends(n, mesh, contour)
+        link = mesh.edge_link[contour.edge[n]]
         arms[k] = links.arm[link]
-        if contour.back[mesh.edge_facet1[e]]:
-            i, j = j, i
         zi, zj = max(contour.depth[i], lens.near), max(contour.depth[j], lens.near)
         a0, a1 = (contour.u0[n], contour.u1[n]) if across else (contour.v0[n], contour.v1[n])
         t = (line - a0) / (a1 - a0)

@@ -151,15 +151,20 @@ def _reaches(depth: Any, near: float) -> Any:
     return hidden > 0
 
 
+@compiled(inline="always")
+def edge_ends(n: Any, mesh: Any, contour: Any) -> Any:
+    """Vertices that contour edge n runs from and to; for edges of the mesh, not for closing ones."""
+    e = contour.edge[n]
+    i, j = mesh.edge_start[e], mesh.edge_end[e]
+    return (j, i) if contour.back[mesh.edge_facet1[e]] else (i, j)
+
+
 @compiled
 def _cut(b: int, pose: Any, mesh: Any, lens: Any, contour: Any) -> None:
     """Cut the contour edges of body b off at the near plane; those wholly before it shrink to nothing."""
     near = lens.near
     for n in range(contour.start[b], contour.start[b + 1]):
-        e = contour.edge[n]
-        i, j = mesh.edge_start[e], mesh.edge_end[e]
-        if contour.back[mesh.edge_facet1[e]]:
-            i, j = j, i
+        i, j = edge_ends(n, mesh, contour)
         starts, ends = contour.depth[i] > near, contour.depth[j] > near
         if starts and ends:
             continue

@@ -6,7 +6,7 @@ import copy
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -158,6 +158,10 @@ class SilhouetteEvaluator:
         self._contours = [contour_scratch(self._links, self._bodies, self._mesh) for _ in range(threads)]
         self._make_room(None)
         self._samples = self._room_for_samples(2 * (camera.width + camera.height))
+
+    def __reduce__(self) -> tuple[type, tuple[Any, ...]]:
+        # Made anew rather than copied: parts of the scratch share memory.
+        return type(self), (self.instruments, self.camera, self._lens.near, self.threads)
 
     def _make_room(self, layers: int | None) -> None:
         self._rows = [rows_scratch(self._bodies, self._mesh, self.camera.height, layers) for _ in self._contours]

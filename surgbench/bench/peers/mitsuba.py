@@ -11,13 +11,13 @@ from surgbench.bench.peers.base import Peer
 from surgbench.bench.peers.body import Body
 from surgbench.camera import Camera
 from surgbench.contract import Mask
+from surgbench.generators.render import add_part, depth_view
 from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument
 from surgbench.silhouette.layout import NEAR_M
 
 # LLVM 15 and 16 load and then kill the process: "Cannot select: f32 = fmaximum".
 OLDEST_LLVM = 17
-FAR_M = 10.0
 
 
 class _Mitsuba(Peer):
@@ -40,14 +40,7 @@ class _Mitsuba(Peer):
         self._names = {name: instrument.link_index[name] for name in instrument.meshes}
         scene: dict[str, Any] = {"type": "scene", **self._view()}
         for name, link in instrument.meshes.items():
-            mesh = mitsuba.Mesh(name, len(link.vertices_m), len(link.faces))
-            parameters = mitsuba.traverse(mesh)
-            parameters["vertex_positions"] = link.vertices_m.astype(np.float32).ravel()
-            parameters["faces"] = link.faces.astype(np.uint32).ravel()
-            parameters.update()
-            scene[f"shape_{name}"] = {"type": "shapegroup", "mesh": mesh}
-            reference = {"type": "ref", "id": f"shape_{name}"}
-            scene[f"place_{name}"] = {"type": "instance", "shapegroup": reference}
+            add_part(mitsuba, scene, name, link)
         self._scene = mitsuba.load_dict(scene)
         self._parameters = mitsuba.traverse(self._scene)
         self._image = np.empty((camera.height, camera.width), dtype=bool)
@@ -82,32 +75,10 @@ class MitsubaScalar(_Mitsuba):
     variant: ClassVar[str] = "scalar_rgb"
 
     def _view(self) -> dict[str, Any]:
-        mi, camera = self._mi, self.camera
-        # A ray through each pixel's centre: one sample, no jitter, box filter. The principal point's offset has the
-        # opposite sign of what one expects.
-        sensor = {
-            "type": "perspective",
-            "fov_axis": "x",
-            "fov": float(np.degrees(2.0 * np.arctan(camera.width / (2.0 * camera.fx)))),
-            "principal_point_offset_x": 0.5 - (camera.cx + 0.5) / camera.width,
-            "principal_point_offset_y": 0.5 - (camera.cy + 0.5) / camera.height,
-            "near_clip": NEAR_M,
-            "far_clip": FAR_M,
-            "to_world": mi.ScalarTransform4f(np.diag([-1.0, -1.0, 1.0, 1.0])),
-            "film": {
-                "type": "hdrfilm",
-                "width": camera.width,
-                "height": camera.height,
-                "pixel_format": "luminance",
-                "component_format": "float32",
-                "rfilter": {"type": "box"},
-            },
-            "sampler": {"type": "stratified", "sample_count": 1, "jitter": False},
-        }
-        return {"integrator": {"type": "depth"}, "sensor": sensor}
+        view: dict[str, Any] = depth_view(self._mi, self.camera)
+        return view
 
     def _seen(self, transform: FloatArray) -> FloatArray:
-        # The sensor has one focal length: y is scaled instead, which leaves the silhouette as it is.
         scaled = transform.copy()
         scaled[1] *= self.camera.fy / self.camera.fx
         return scaled
