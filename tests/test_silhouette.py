@@ -2,6 +2,12 @@
 
 from __future__ import annotations
 
+import copy
+import multiprocessing
+import os
+import pickle
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -30,29 +36,34 @@ def clip_to_near(polygon: FloatArray) -> FloatArray:
     return np.array(kept).reshape(-1, 3)
 
 
-def brute_force(instruments: list[Instrument], camera: Camera, state: FloatArray) -> np.ndarray:
-    """Every triangle of either facing, filled row by row at pixel centres; no contour, no facing, no winding."""
-    image = np.zeros((camera.height, camera.width), dtype=bool)
+def projected_triangles(
+    instruments: list[Instrument], camera: Camera, state: FloatArray
+) -> Iterator[tuple[FloatArray, FloatArray]]:
+    """Pixels of the corners of every triangle, cut off at the near plane."""
     for instrument, arm_state in zip(instruments, state.reshape(-1, 9), strict=True):
         transforms = instrument.link_transforms(arm_state)
         for name, mesh in instrument.meshes.items():
             T = transforms[instrument.link_index[name]]
             for triangle in (mesh.vertices_m @ T[:3, :3].T + T[:3, 3])[mesh.faces]:
                 polygon = clip_to_near(triangle)
-                if len(polygon) < 3:
-                    continue
-                z = np.maximum(polygon[:, 2], NEAR_M)
-                u = camera.fx * polygon[:, 0] / z + camera.cx
-                v = camera.fy * polygon[:, 1] / z + camera.cy
-                for row in range(max(0, int(np.ceil(v.min()))), min(camera.height, int(np.ceil(v.max())))):
-                    crossings = []
-                    for k in range(len(u)):
-                        low, high = sorted((k, (k + 1) % len(u)), key=lambda i: v[i])
-                        if v[low] <= row < v[high]:
-                            slope = (u[high] - u[low]) / (v[high] - v[low])
-                            crossings.append(np.ceil(u[low] + (row - v[low]) * slope))
-                    begin, end = np.clip([min(crossings), max(crossings)], 0, camera.width).astype(int)
-                    image[row, begin:end] = True
+                if len(polygon) >= 3:
+                    z = np.maximum(polygon[:, 2], NEAR_M)
+                    yield camera.fx * polygon[:, 0] / z + camera.cx, camera.fy * polygon[:, 1] / z + camera.cy
+
+
+def brute_force(instruments: list[Instrument], camera: Camera, state: FloatArray) -> np.ndarray:
+    """Every triangle of either facing, filled row by row at pixel centres; no contour, no facing, no winding."""
+    image = np.zeros((camera.height, camera.width), dtype=bool)
+    for u, v in projected_triangles(instruments, camera, state):
+        for row in range(max(0, int(np.ceil(v.min()))), min(camera.height, int(np.ceil(v.max())))):
+            crossings = []
+            for k in range(len(u)):
+                low, high = sorted((k, (k + 1) % len(u)), key=lambda i: v[i])
+                if v[low] <= row < v[high]:
+                    slope = (u[high] - u[low]) / (v[high] - v[low])
+                    crossings.append(np.ceil(u[low] + (row - v[low]) * slope))
+            begin, end = np.clip([min(crossings), max(crossings)], 0, camera.width).astype(int)
+            image[row, begin:end] = True
     return image
 
 
@@ -185,3 +196,270 @@ def test_wrong_shapes_are_refused(small_camera: Camera) -> None:
         evaluator.mask(np.zeros(18))
     with pytest.raises(ValueError, match="the camera"):
         evaluator.score(np.zeros((1, 9)), Reference(np.zeros((5, 5), bool)))
+
+
+def undecided(instruments: list[Instrument], camera: Camera, state: FloatArray) -> np.ndarray:
+    """Pixels whose centre lies on the outline of some triangle to rounding, so that it may fall to either side."""
+    rows, columns = np.indices((camera.height, camera.width))
+    image = np.zeros(rows.shape, dtype=bool)
+    for u, v in projected_triangles(instruments, camera, state):
+        for k in range(len(u)):
+            du, dv = u[k] - u[k - 1], v[k] - v[k - 1]
+            au, av = columns - u[k - 1], rows - v[k - 1]
+            share = np.clip((au * du + av * dv) / max(du**2 + dv**2, np.finfo(float).tiny), 0.0, 1.0)
+            # Lengths of the edge, for rounding, and of what lies between it and the pixel.
+            reach = 1e-9 * (1.0 + np.hypot(du, dv))
+            image |= np.hypot(au - share * du, av - share * dv) < reach
+    return image
+
+
+def bounding_box(mask: np.ndarray) -> list[int]:
+    rows, columns = np.nonzero(mask)
+    if len(rows) == 0:
+        return [0, 0, 0, 0]
+    return [int(columns.min()), int(rows.min()), int(columns.max()) + 1, int(rows.max()) + 1]
+
+
+def assert_counts_belong_to_mask(evaluator: SilhouetteEvaluator, state: FloatArray, image: np.ndarray) -> None:
+    stripes = (np.indices(image.shape).sum(axis=0) // 2) % 2 == 0
+    score = evaluator.score(state[None], Reference(stripes))
+    assert score.area[0] == np.count_nonzero(image)
+    assert score.overlap[0] == np.count_nonzero(image & stripes)
+    assert score.box[0].tolist() == bounding_box(image)
+
+
+def assert_covers_what_brute_force_does(instruments: list[Instrument], camera: Camera, state: FloatArray) -> None:
+    evaluator = SilhouetteEvaluator(instruments, camera)
+    image, expected = evaluator.mask(state), brute_force(instruments, camera, state)
+    differs = image != expected
+    if differs.any():
+        differs &= ~undecided(instruments, camera, state)
+    assert not differs.any(), np.argwhere(differs).tolist()
+    assert_counts_belong_to_mask(evaluator, state, image)
+
+
+def with_split_edges(mesh: trimesh.Trimesh, splits: int) -> trimesh.Trimesh:
+    """The same body with a vertex amid some edges that one of the two faces does not know of.
+
+    A face of no area closes the mesh there, as in files from CAD programs.
+    """
+    vertices, faces = mesh.vertices.tolist(), mesh.faces.tolist()
+    for k in range(splits):
+        a, b, c = faces[k]
+        vertices.append([(2 * p + q) / 3 for p, q in zip(vertices[a], vertices[b], strict=True)])
+        middle = len(vertices) - 1
+        faces[k] = [a, middle, c]
+        faces += [[middle, b, c], [a, b, middle]]
+    return trimesh.Trimesh(vertices, faces, process=False)
+
+
+def with_corners_drawn_together(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """A box as a pyramid: its top is four vertices in one place, with faces of no area between them."""
+    vertices = mesh.vertices.copy()
+    vertices[vertices[:, 2] > 0] = [0.003, 0.002, 0.02]
+    return trimesh.Trimesh(vertices, mesh.faces, process=False)
+
+
+DEGENERATE: dict[str, Any] = {
+    "split box": with_split_edges(trimesh.creation.box((0.02, 0.03, 0.05)), 8),
+    "split sphere": with_split_edges(trimesh.creation.icosphere(1, 0.02), 30),
+    "pyramid": with_corners_drawn_together(trimesh.creation.box((0.02, 0.03, 0.05))),
+    "sheet": trimesh.creation.box((0.02, 0.03, 0.0)),
+    "needle": trimesh.creation.box((1e-9, 0.03, 1e-9)),
+    "touching": BODIES["touching"],
+    "one in the other": trimesh.util.concatenate([BODIES["box"], BODIES["box"].copy().apply_scale(0.5)]),
+    "twice": trimesh.util.concatenate([BODIES["ring"], BODIES["ring"].copy()]),
+}
+
+
+@settings(max_examples=100, deadline=None)
+@given(body=st.sampled_from(sorted(DEGENERATE)), state=poses)
+def test_faces_without_area_and_coincident_faces(small_camera: Camera, body: str, state: FloatArray) -> None:
+    assert_covers_what_brute_force_does([rigid_instrument(DEGENERATE[body])], small_camera, state)
+
+
+cameras = st.builds(
+    Camera,
+    width=st.integers(1, 70),
+    height=st.integers(1, 70),
+    fx=st.floats(5.0, 400.0),
+    fy=st.floats(5.0, 400.0),
+    cx=st.floats(-40.0, 110.0),
+    cy=st.floats(-40.0, 110.0),
+)
+
+
+@settings(max_examples=100, deadline=None)
+@given(camera=cameras, body=st.sampled_from(sorted(BODIES)), state=poses)
+def test_any_camera(camera: Camera, body: str, state: FloatArray) -> None:
+    assert_covers_what_brute_force_does([rigid_instrument(BODIES[body])], camera, state)
+
+
+@settings(max_examples=60, deadline=None)
+@given(camera=cameras, bodies=st.tuples(*[st.sampled_from(sorted(BODIES))] * 2), left=poses, right=poses)
+def test_two_bodies_anywhere(camera: Camera, bodies: tuple[str, str], left: FloatArray, right: FloatArray) -> None:
+    """Each moves on its own; what both cover counts once."""
+    instruments = [rigid_instrument(BODIES[body]) for body in bodies]
+    assert_covers_what_brute_force_does(instruments, camera, np.concatenate([left, right]))
+
+
+# Boxes whose corners project to pixel centres, before the camera or about it; every face is seen edge-on by some.
+lattice_boxes = st.lists(st.tuples(*[st.integers(-4, 3)] * 3, *[st.integers(1, 4)] * 3), min_size=1, max_size=3).map(
+    lambda rows: [np.array([row[:3], np.add(row[:3], row[3:])], dtype=np.float64) for row in rows]
+)
+lattice_cameras = st.builds(
+    Camera,
+    width=st.integers(1, 16),
+    height=st.integers(1, 16),
+    fx=st.sampled_from([1.0, 2.0, 4.0, 8.0]),
+    fy=st.sampled_from([1.0, 2.0, 4.0, 8.0]),
+    cx=st.integers(-3, 12).map(float),
+    cy=st.integers(-3, 12).map(float),
+)
+
+
+@settings(max_examples=150, deadline=None)
+@given(
+    camera=lattice_cameras,
+    boxes=lattice_boxes,
+    place=st.tuples(st.integers(-3, 3), st.integers(-3, 3), st.integers(-2, 8)),
+    turns=st.tuples(*[st.integers(-2, 2)] * 3),
+)
+def test_corners_on_pixel_centres_and_faces_edge_on(
+    camera: Camera, boxes: list[FloatArray], place: tuple[int, int, int], turns: tuple[int, int, int]
+) -> None:
+    combined: Any = trimesh.util.concatenate([trimesh.creation.box(bounds=box) for box in boxes])
+    state = np.array([*np.array(turns) * np.pi / 2, *place, 0.0, 0.0, 0.0])
+    assert_covers_what_brute_force_does([rigid_instrument(combined)], camera, state)
+
+
+def test_a_corner_just_below_a_row_is_not_counted_negative() -> None:
+    """Two edges that meet 2e-16 below a row, in a column's centre, cross the row in the wrong order by rounding."""
+    vertices = [[2, -8, 0], [2, -8, 6], [2, 0, 0], [4, -8, 0], [4, 0, 0]]
+    faces = [[0, 1, 2], [3, 1, 0], [2, 1, 4], [4, 1, 3], [2, 3, 0], [4, 3, 2]]
+    corner = rigid_instrument(trimesh.Trimesh(vertices, faces, process=False))
+    camera = Camera(width=17, height=5, fx=1.0, fy=2.0, cx=9.0, cy=3.0)
+    state = np.array([-np.pi, np.pi / 2, np.pi / 2, 6.0, 0.0, 2.0, 0.0, 0.0, 0.0])
+    evaluator = SilhouetteEvaluator([corner], camera)
+    assert_counts_belong_to_mask(evaluator, state, evaluator.mask(state))
+
+
+@pytest.mark.parametrize("side", [(-1, 0), (1, 0), (0, -1), (0, 1), (1, 1), (-1, 1)])
+def test_beside_the_image_nothing_is_covered(small_camera: Camera, side: tuple[int, int]) -> None:
+    evaluator = SilhouetteEvaluator([rigid_instrument(BODIES["crossing"])], small_camera)
+    state = np.zeros(9)
+    state[3:6] = 0.3 * side[0], 0.3 * side[1], 0.2
+    assert not evaluator.mask(state).any()
+    assert_counts_belong_to_mask(evaluator, state, np.zeros((62, 88), bool))
+
+
+@settings(max_examples=40, deadline=None)
+@given(state=needle_driver_states)
+def test_the_box_is_that_of_the_mask(small_camera: Camera, state: FloatArray) -> None:
+    evaluator = SilhouetteEvaluator([load_instrument("large_needle_driver")], small_camera)
+    assert_counts_belong_to_mask(evaluator, state, evaluator.mask(state))
+
+
+def zigzag(turns: int, width_m: float, pitch_m: float, height_m: float) -> trimesh.Trimesh:
+    """One connected bar, folded up and down side by side: a row crosses it ``turns`` times, in a single body."""
+    path = [(pitch_m * k, height_m * (1 if (k + side) % 2 else -1) / 2) for k in range(turns) for side in range(2)]
+    corners = np.array([(x + dx, y, z) for x, y in path for dx, z in [(0, 0), (width_m, 0), (width_m, 1), (0, 1)]])
+    vertices = corners * [1.0, 1.0, width_m]
+    faces = []
+    for ring in range(len(path) - 1):
+        here = 4 * ring + np.arange(4)
+        there = 4 * ring + (np.arange(4) + 1) % 4
+        faces += [*zip(here, there, there + 4, strict=True), *zip(here, there + 4, here + 4, strict=True)]
+    last = 4 * (len(path) - 1)
+    faces += [(0, 2, 1), (0, 3, 2), (last, last + 1, last + 2), (last, last + 2, last + 3)]
+    mesh = trimesh.Trimesh(vertices - vertices.mean(axis=0), faces, process=False)
+    mesh.fix_normals()
+    assert mesh.is_watertight
+    return mesh
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_one_body_with_many_spans_in_a_row(small_camera: Camera, threads: int) -> None:
+    """More than the first scratch has room for, and then fewer again."""
+    body = rigid_instrument(zigzag(20, 0.001, 0.0025, 0.03))
+    evaluator = SilhouetteEvaluator([body], small_camera, threads=threads)
+    state = np.array([0.02, 0.03, 0.1, 0.0, 0.0, 0.08, 0.0, 0.0, 0.0])
+    behind = state * [1, 1, 1, 1, 1, -1, 1, 1, 1]
+    expected = brute_force([body], small_camera, state)
+    runs = np.count_nonzero(np.diff(expected.astype(int), prepend=0, axis=1) == 1, axis=1)
+    assert runs.max() > 12
+    reference = Reference(expected)
+    score = evaluator.score(np.stack([behind, state, behind, state]), reference)
+    assert score.area.tolist() == score.overlap.tolist() == [0, reference.area, 0, reference.area]
+    assert score.box[1].tolist() == bounding_box(expected)
+    assert np.array_equal(evaluator.mask(state), expected)
+
+
+def two_arm_states(count: int) -> FloatArray:
+    states = np.tile(resting_state(), (count, 2))
+    states[:, 9 + 2] *= -1
+    noise = np.random.default_rng(1).normal(0, 0.05, states.shape) * np.tile([1, 5, 1, 0.1, 0.1, 0.1, 3, 3, 3], 2)
+    return np.asarray(states + noise)
+
+
+@pytest.mark.parametrize("threads", [2, 3])
+@pytest.mark.parametrize("count", [1, 2, 7])
+def test_counts_do_not_depend_on_threads(small_camera: Camera, threads: int, count: int) -> None:
+    instruments = [load_instrument("large_needle_driver")] * 2
+    states = two_arm_states(count)
+    one = SilhouetteEvaluator(instruments, small_camera)
+    several = SilhouetteEvaluator(instruments, small_camera, threads=threads)
+    reference = Reference(one.mask(states[0]))
+    for _ in range(3):
+        for alone, shared in zip(one.score(states, reference), several.score(states, reference), strict=True):
+            assert np.array_equal(alone, shared)
+
+
+@pytest.mark.parametrize("clone", [lambda e: pickle.loads(pickle.dumps(e)), copy.deepcopy], ids=["pickle", "copy"])
+def test_a_copied_evaluator_counts_on_its_own(
+    small_camera: Camera, clone: Callable[[SilhouetteEvaluator], SilhouetteEvaluator]
+) -> None:
+    evaluator = SilhouetteEvaluator([load_instrument("large_needle_driver")] * 2, small_camera)
+    states = two_arm_states(4)
+    reference = Reference(evaluator.mask(states[0]))
+    expected = evaluator.score(states, reference)
+    copied = clone(evaluator)
+    # Of other states than the original saw last.
+    order = [2, 0, 3, 1]
+    score = copied.score(states[order], reference)
+    assert score.area.tolist() == expected.area[order].tolist()
+    assert score.overlap.tolist() == expected.overlap[order].tolist()
+    assert np.array_equal(copied.mask(states[1]), evaluator.mask(states[1]))
+
+
+def test_evaluators_in_a_thread_pool_do_not_disturb_each_other(small_camera: Camera) -> None:
+    instruments = [load_instrument("large_needle_driver")] * 2
+    evaluators = [SilhouetteEvaluator(instruments, small_camera, threads=threads) for threads in (1, 2, 2, 3)]
+    states = two_arm_states(40)
+    reference = Reference(evaluators[0].mask(states[0]))
+    expected = evaluators[0].score(states, reference)
+    with ThreadPoolExecutor(4) as pool:
+        scores = list(pool.map(lambda evaluator: evaluator.score(states, reference), evaluators * 5))
+    assert all(np.array_equal(score.overlap, expected.overlap) for score in scores)
+
+
+@pytest.mark.skipif("fork" not in multiprocessing.get_all_start_methods(), reason="no fork on this system")
+@pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
+def test_a_forked_process_has_threads_of_its_own(small_camera: Camera) -> None:
+    """The parent's threads are not there in the child: it must not wait for them."""
+    instrument = load_instrument("large_needle_driver")
+    states = np.tile(resting_state(), (4, 1))
+    evaluator = SilhouetteEvaluator([instrument], small_camera, threads=2)
+    reference = Reference(evaluator.mask(states[0]))
+    expected = evaluator.score(states, reference).area.tolist()
+
+    def count() -> None:
+        found = SilhouetteEvaluator([instrument], small_camera, threads=2).score(states, reference).area.tolist()
+        os._exit(0 if found == expected else 3)
+
+    child = multiprocessing.get_context("fork").Process(target=count)
+    child.start()
+    child.join(20)
+    code = child.exitcode
+    child.kill()
+    assert code == 0

@@ -9,7 +9,8 @@ share an edge agree on it to the last bit.
 
 A closed body has as many edges going up across a row as down. In most rows it has one of each, which are written
 straight into the two halves of a span; only where there are more are its crossings collected, sorted and wound up. The
-spans of several bodies are then merged, row by row.
+spans of several bodies are then merged, row by row. A body seen edge-on may end before it begins, by rounding: such a
+span is empty.
 """
 
 from __future__ import annotations
@@ -99,41 +100,21 @@ def column(u: float, width: float) -> Any:
 
 @compiled
 def _enter(first_edge: int, last_edge: int, top: int, bottom: int, width: float, numbers: bool, rows: Any) -> Any:
-    """Write edges into their rows' next span.
-
-    Returns:
-        The first row touched so far and the row after the last, and in how many rows an edge begins or ends a span.
-    """
-    columns, slot = rows.columns, rows.slot
-    begun, ended = np.int64(0), np.int64(0)
+    """Write edges into their rows' next span; returns the rows touched so far."""
+    columns, tally, slot = rows.columns, rows.tally, rows.slot
     for n in range(first_edge, last_edge):
         first, last = rows.first[n], rows.last[n]
         u, v, slope, half = rows.u[n], rows.v[n], rows.slope[n], rows.begins[n]
         if numbers:
             for row in range(first, last):
                 columns[slot[row] + half] = n
+                tally[row] += 1
         else:
             for row in range(first, last):
                 columns[slot[row] + half] = np.uint32(min(max(np.ceil(u + (row - v) * slope), 0.0), width))
-        crossed = max(np.int64(last) - np.int64(first), 0)
-        begun += crossed * half
-        ended += crossed * (1 - half)
+                tally[row] += 1
         top, bottom = min(top, first), max(bottom, last)
-    return top, bottom, begun, ended
-
-
-@compiled
-def _next_layer(slot: Any, step: Any, end: Any) -> Any:
-    for r in range(slot.shape[0]):
-        slot[r] += step if slot[r] < end else np.int32(0)
-
-
-@compiled
-def _tally(first_edge: int, last_edge: int, rows: Any) -> Any:
-    """Count the crossings of each row."""
-    for n in range(first_edge, last_edge):
-        for row in range(rows.first[n], rows.last[n]):
-            rows.tally[row] += 1
+    return top, bottom
 
 
 @compiled
@@ -217,22 +198,13 @@ def cover(
     limit = float(width)
     top, bottom = height, 0
     for b in range(bodies.link.shape[0]):
-        a, z, begun, ended = _enter(contour.start[b], contour.start[b + 1], height, 0, limit, numbers, rows)
-        closed = contour.closing[b] == contour.closing[b + 1]
-        if not closed:
-            a, z, _, _ = _enter(contour.closing[b], contour.closing[b + 1], a, z, limit, numbers, rows)
+        a, z = _enter(contour.start[b], contour.start[b + 1], height, 0, limit, numbers, rows)
+        a, z = _enter(contour.closing[b], contour.closing[b + 1], a, z, limit, numbers, rows)
         if a >= z:
             continue
-        # What hangs together is crossed by every row between its first and its last. So if the crossings are as few as
-        # that, each of these rows has one span. What the near plane cuts may fall apart.
-        if closed and begun == z - a and ended == z - a:
-            _next_layer(rows.slot[a:z], step, end)
-        else:
-            _tally(contour.start[b], contour.start[b + 1], rows)
-            _tally(contour.closing[b], contour.closing[b + 1], rows)
-            if _advance(rows.tally[a:z], rows.slot[a:z], step, end):
-                _wind(b, a, z, step, end, limit, numbers, contour, rows)
-            rows.tally[a:z] = 0
+        if _advance(rows.tally[a:z], rows.slot[a:z], step, end):
+            _wind(b, a, z, step, end, limit, numbers, contour, rows)
+        rows.tally[a:z] = 0
         top, bottom = min(top, a), max(bottom, z)
     return top, bottom
 
@@ -263,7 +235,8 @@ def _sum(
             begin, end = merged[0] >> COLUMN_BITS, merged[0] & COLUMN_MASK
             for m in range(1, count):
                 next_begin, next_end = merged[m] >> COLUMN_BITS, merged[m] & COLUMN_MASK
-                if next_begin > end or end == begin:
+                if next_begin > end or end <= begin:
+                    end = max(end, begin)
                     covered += end - begin
                     inside += np.int64(prefix[row, end]) - np.int64(prefix[row, begin])
                     if boxed and end > begin:
@@ -273,6 +246,7 @@ def _sum(
                     end = max(end, next_end)
         elif stop == 2 * row:  # none
             continue
+        end = max(end, begin)
         covered += end - begin
         inside += np.int64(prefix[row, end]) - np.int64(prefix[row, begin])
         if boxed and end > begin:

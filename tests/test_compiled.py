@@ -1,0 +1,11 @@
+"""Compiled code is kept on disk; it must not outlive the sources it was made from."""
+
+from __future__ import annotations
+
+from surgbench.silhouette import boundary, compiled, contour, kernel, spans
+
+
+def test_compiled_code_is_bound_to_the_whole_packages_sources() -> None:
+    """Numba alone looks at the function's own file: an old caller would go on with what it has swallowed."""
+    for function in (kernel.score, kernel.gradient, contour.trace, spans.cover, boundary.find_boundary):
+        assert function._cache._cache_file._source_stamp == compiled._sources()
