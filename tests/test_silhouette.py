@@ -445,6 +445,7 @@ def test_evaluators_in_a_thread_pool_do_not_disturb_each_other(small_camera: Cam
 
 @pytest.mark.skipif("fork" not in multiprocessing.get_all_start_methods(), reason="no fork on this system")
 @pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
+@pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
 def test_a_forked_process_has_threads_of_its_own(small_camera: Camera) -> None:
     """The parent's threads are not there in the child: it must not wait for them."""
     instrument = load_instrument("large_needle_driver")

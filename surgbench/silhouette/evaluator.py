@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
@@ -127,6 +128,10 @@ class ContourPoints(NamedTuple):
 def _helpers(threads: int) -> ThreadPoolExecutor:
     """The threads beside the calling one; shared by all evaluators of the process."""
     return ThreadPoolExecutor(threads - 1, thread_name_prefix="silhouette")
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_helpers.cache_clear)  # threads do not come along
 
 
 class SilhouetteEvaluator:
