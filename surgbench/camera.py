@@ -13,6 +13,9 @@ from surgbench.config import parse_model
 from surgbench.errors import ConfigError, DatasetError
 from surgbench.geometry import FloatArray
 
+# Surfaces nearer to the camera plane than this are not seen.
+NEAR_M = 1e-3
+
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 

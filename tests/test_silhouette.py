@@ -17,11 +17,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from support import resting_state, rigid_instrument
 
-from surgbench.camera import Camera
+from surgbench.camera import NEAR_M, Camera
 from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument, load_instrument
 from surgbench.silhouette import Reference, SilhouetteEvaluator
-from surgbench.silhouette.layout import NEAR_M
 
 
 def clip_to_near(polygon: FloatArray) -> FloatArray:
@@ -360,19 +359,21 @@ def test_the_box_is_that_of_the_mask(small_camera: Camera, state: FloatArray) ->
     assert_counts_belong_to_mask(evaluator, state, evaluator.mask(state))
 
 
-def zigzag(turns: int, width_m: float, pitch_m: float, height_m: float) -> trimesh.Trimesh:
-    """One connected bar, folded up and down side by side: a row crosses it ``turns`` times, in a single body."""
-    path = [(pitch_m * k, height_m * (1 if (k + side) % 2 else -1) / 2) for k in range(turns) for side in range(2)]
-    corners = np.array([(x + dx, y, z) for x, y in path for dx, z in [(0, 0), (width_m, 0), (width_m, 1), (0, 1)]])
-    vertices = corners * [1.0, 1.0, width_m]
-    faces = []
-    for ring in range(len(path) - 1):
-        here = 4 * ring + np.arange(4)
-        there = 4 * ring + (np.arange(4) + 1) % 4
-        faces += [*zip(here, there, there + 4, strict=True), *zip(here, there + 4, here + 4, strict=True)]
-    last = 4 * (len(path) - 1)
-    faces += [(0, 2, 1), (0, 3, 2), (last, last + 1, last + 2), (last, last + 2, last + 3)]
-    mesh = trimesh.Trimesh(vertices - vertices.mean(axis=0), faces, process=False)
+def zigzag(legs: int, width_m: float, pitch_m: float, height_m: float) -> trimesh.Trimesh:
+    """One connected bar that goes up and down from left to right: a row crosses it ``legs`` times, in a single body."""
+    corners = [
+        (pitch_m * k + x, height_m * (k % 2), z)
+        for k in range(legs + 1)
+        for x, z in [(0.0, 0.0), (width_m, 0.0), (width_m, width_m), (0.0, width_m)]
+    ]
+    faces: list[tuple[int, ...]] = [(0, 2, 1), (0, 3, 2)]
+    for ring in range(0, 4 * legs, 4):
+        for side in range(4):
+            a, b = ring + side, ring + (side + 1) % 4
+            faces += [(a, b, b + 4), (a, b + 4, a + 4)]
+    last = 4 * legs
+    faces += [(last, last + 1, last + 2), (last, last + 2, last + 3)]
+    mesh = trimesh.Trimesh(np.array(corners) - np.mean(corners, axis=0), faces, process=False)
     mesh.fix_normals()
     assert mesh.is_watertight
     return mesh
@@ -439,8 +440,8 @@ def test_evaluators_in_a_thread_pool_do_not_disturb_each_other(small_camera: Cam
     reference = Reference(evaluators[0].mask(states[0]))
     expected = evaluators[0].score(states, reference)
     with ThreadPoolExecutor(4) as pool:
-        scores = list(pool.map(lambda evaluator: evaluator.score(states, reference), evaluators * 5))
-    assert all(np.array_equal(score.overlap, expected.overlap) for score in scores)
+        scores = pool.map(lambda evaluator: [evaluator.score(states, reference) for _ in range(5)], evaluators)
+        assert all(np.array_equal(score.overlap, expected.overlap) for five in scores for score in five)
 
 
 @pytest.mark.skipif("fork" not in multiprocessing.get_all_start_methods(), reason="no fork on this system")

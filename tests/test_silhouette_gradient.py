@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
@@ -23,7 +23,7 @@ from test_silhouette import (
     zigzag,
 )
 
-from surgbench.camera import Camera
+from surgbench.camera import NEAR_M, Camera
 from surgbench.geometry import FloatArray, look_at_angles, look_at_rotation
 from surgbench.instrument import load_instrument
 from surgbench.silhouette import ContourPoints, Reference, RowSums, SilhouetteEvaluator
@@ -76,7 +76,7 @@ def test_a_box_slides_out_of_the_image(axis: int, side: int) -> None:
     offset = np.zeros(3)
     offset[axis] = side * 0.09  # from 1 cm on one side of the optical axis to far beyond the border on the other
     evaluator = evaluator_of(trimesh.creation.box(size))
-    gradient = evaluator.gradient(state_at(*(offset + [0, 0, 0.105]))[None], EVERYWHERE).area[0]
+    gradient = evaluator.gradient(state_at(offset[0], offset[1], 0.105)[None], EVERYWHERE).area[0]
     front = 0.1
     edge_px = SQUARE.fx * 0.03 / front
     assert gradient[3 + axis] == pytest.approx(-side * edge_px * SQUARE.fx / front, rel=1e-6)
@@ -175,29 +175,368 @@ def near_plane() -> FloatArray:
 
 STATES = {
     "usual": resting_state(),
-    "near": resting_state(0.09) + [0.1, 1.5, 0.2, 0.004, -0.003, 0, -0.6, 0.7, 0.2],
+    "near": resting_state(0.09) + np.array([0.1, 1.5, 0.2, 0.004, -0.003, 0, -0.6, 0.7, 0.2]),
     "horizontal": aligned(vertical=False),
     "vertical": aligned(vertical=True),
     "near plane": near_plane(),
-    "partly outside": resting_state() + [0, 0, 0, 0.018, 0.03, 0, 0, 0, 0],
+    "partly outside": resting_state() + np.array([0, 0, 0, 0.018, 0.03, 0, 0, 0, 0]),
     "two arms": two_arm_states(1)[0],
     "two arms crossing": np.concatenate([resting_state(), resting_state(0.15) * [1, 1, -1, 1, 1, 1, 1, 1, 1]]),
 }
 
 
 @pytest.mark.parametrize("name", STATES)
-def test_the_gradient_averaged_over_a_step_is_the_difference(name: str) -> None:
-    """By the fundamental theorem of calculus, kinks or not."""
+def test_the_gradient_averaged_over_steps_is_the_difference(name: str) -> None:
+    """By the fundamental theorem of calculus, kinks or not; over many states, so that their sampling averages out."""
     state = STATES[name]
     arms = len(state) // 9
     scale = np.tile(STATE_SCALE, arms)
     evaluator = SilhouetteEvaluator([LND] * arms, HALF)
     rng = np.random.default_rng(5)
-    for _ in range(3):
+    reference = Reference(evaluator.mask(state + 3 * rng.choice([-1, 1], len(state)) * scale))
+    counts = FinerCounts(evaluator, reference.mask, 8)
+    found, expected = np.zeros((2, 2, len(state)))
+    for _ in range(24):
+        centre = state + rng.uniform(-1, 1, len(state)) * scale
+        found += means_over_steps(evaluator, centre, 0.5 * scale, reference) * scale
+        expected += counts.differences(centre, 0.5 * scale) * scale
+    assert np.linalg.norm(found[0] - expected[0]) < 0.025 * np.linalg.norm(expected[0])
+    ours, truth = found[0] - 2 * found[1], expected[0] - 2 * expected[1]  # eq. (6)
+    assert np.linalg.norm(ours - truth) < 0.01 * np.linalg.norm(truth)
+
+
+@pytest.mark.parametrize("name", STATES)
+def test_the_gradient_of_a_single_state(name: str) -> None:
+    """Of eq. (6), where the derivatives to the left and to the right agree; at kinks there is none."""
+    state = STATES[name]
+    arms = len(state) // 9
+    scale = np.tile(STATE_SCALE, arms)
+    evaluator = SilhouetteEvaluator([LND] * arms, HALF)
+    rng = np.random.default_rng(7)
+    reference = Reference(evaluator.mask(state + 3 * rng.choice([-1, 1], len(state)) * scale))
+    counts = FinerCounts(evaluator, reference.mask, 16)
+    steps = 0.04 * scale
+    smooth = 0
+    for _ in range(6):
         centre = state + rng.standard_normal(len(state)) * scale
-        reference = Reference(evaluator.mask(centre + rng.standard_normal(len(state)) * scale))
-        found = means_over_steps(evaluator, centre, 0.5 * scale, reference) * scale
-        expected = FinerCounts(evaluator, reference.mask, 8).differences(centre, 0.5 * scale) * scale
-        for overlap_weight, bound in ((0.0, 0.03), (-2.0, 0.02)):
-            ours, truth = found[0] + overlap_weight * found[1], expected[0] + overlap_weight * expected[1]
-            assert np.linalg.norm(ours - truth) < bound * np.linalg.norm(truth)
+        here = counts(centre[None])
+        sides = [(counts(centre + sign * np.diag(steps)) - here) * sign / steps * scale for sign in (-1, 1)]
+        left, right = (area - 2 * overlap for area, overlap in sides)
+        truth = (left + right) / 2
+        if np.linalg.norm(left - right) > 0.03 * np.linalg.norm(truth):
+            continue
+        smooth += 1
+        gradient = evaluator.gradient(centre[None], reference)
+        ours = (gradient.area[0] - 2 * gradient.overlap[0]) * scale
+        assert np.linalg.norm(ours - truth) < 0.05 * np.linalg.norm(truth)
+    assert smooth >= 2
+
+
+# --- states with little or nothing to see -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("arms", [1, 2])
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_a_state_that_is_not_finite_has_no_gradient(arms: int, value: float) -> None:
+    evaluator = SilhouetteEvaluator([LND] * arms, HALF)
+    states = np.tile(resting_state(), (9 * arms + 1, arms))
+    for component in range(9 * arms):
+        states[component, component] = value
+    gradient = evaluator.gradient(states, Reference(np.ones((246, 350), bool)))
+    assert not gradient.area[:-1].any()
+    assert not gradient.overlap[:-1].any()
+    assert np.isfinite(gradient.area[-1]).all()
+    assert gradient.area[-1].any()
+    assert len(evaluator.contour_points(states[0]).arm) == 0
+    assert len(evaluator.row_crossings(states[0]).row) == 0
+
+
+@pytest.mark.parametrize("place", [(0, 0, -0.1), (2, 0, 0.5), (0, -2, 0.5)], ids=["behind", "right", "above"])
+def test_what_is_not_seen_has_no_gradient(place: tuple[float, float, float]) -> None:
+    evaluator = evaluator_of(BODIES["crossing"])
+    state = state_at(*place)
+    gradient = evaluator.gradient(state[None], EVERYWHERE)
+    assert not gradient.area.any()
+    assert not gradient.overlap.any()
+    assert len(evaluator.contour_points(state).arm) == 0
+    assert len(evaluator.row_crossings(state).row) == 0
+
+
+def test_a_camera_inside_a_solid_sees_no_contour() -> None:
+    evaluator = evaluator_of(trimesh.creation.box((1, 1, 1)))
+    assert not evaluator.gradient(np.zeros((1, 9)), EVERYWHERE).area.any()
+    assert len(evaluator.contour_points(np.zeros(9)).arm) == 0
+
+
+@pytest.mark.parametrize("hidden", [0, 1])
+def test_an_arm_hidden_behind_the_other_changes_nothing(hidden: int) -> None:
+    bodies = [rigid_instrument(trimesh.creation.box((0.06, 0.05, 0.01)))] * 2
+    pair = SilhouetteEvaluator(bodies, SQUARE)
+    alone = SilhouetteEvaluator(bodies[:1], SQUARE)
+    front, back = state_at(0.002, 0.001, 0.12, 0.2, 0.3, 0.1), state_at(0.01, 0.0, 0.4, 0.1, 0.5, -0.3)
+    state = np.concatenate([back, front] if hidden == 0 else [front, back])
+    mask = Reference(np.indices((401, 401)).sum(axis=0) < 400)
+    both, one = pair.gradient(state[None], mask), alone.gradient(front[None], mask)
+    for found, expected in zip(both, one, strict=True):
+        assert not found.reshape(2, 9)[hidden].any()
+        assert found.reshape(2, 9)[1 - hidden] == pytest.approx(expected[0], rel=1e-12)
+    points = pair.contour_points(state)
+    assert set(points.arm) == {1 - hidden}
+    assert not points.jacobian.reshape(-1, 2, 9)[:, hidden].any()
+
+
+def test_arms_apart_have_their_own_gradients() -> None:
+    left, right = resting_state(), resting_state()
+    left[3], right[3], right[2] = -0.02, 0.05, -0.8
+    pair, one = SilhouetteEvaluator([LND, LND], HALF), SilhouetteEvaluator([LND], HALF)
+    assert not (one.mask(left) & one.mask(right)).any()
+    reference = Reference(np.indices((246, 350)).sum(axis=0) % 50 < 25)
+    both = pair.gradient(np.concatenate([left, right])[None], reference)
+    single = one.gradient(np.stack([left, right]), reference)
+    for found, expected in zip(both, single, strict=True):
+        assert found.reshape(2, 9) == pytest.approx(expected, rel=1e-12)
+
+
+def test_a_gradient_depends_on_its_state_alone() -> None:
+    """Not on the batch, the threads of the scores, nor on what the scratch was used for before."""
+    instruments = [LND, LND]
+    states = two_arm_states(6)
+    evaluator = SilhouetteEvaluator(instruments, HALF)
+    reference = Reference(evaluator.mask(states[0]))
+    together = evaluator.gradient(states, reference)
+    other = SilhouetteEvaluator(instruments, HALF, threads=3)
+    for k in reversed(range(len(states))):
+        other.contour_points(states[k - 1])
+        other.row_crossings(states[k - 2])
+        alone = other.gradient(states[k][None], reference)
+        other.score(states, reference)
+        assert np.array_equal(alone.area[0], together.area[k])
+        assert np.array_equal(alone.overlap[0], together.overlap[k])
+
+
+# --- contour points -----------------------------------------------------------------------------------------------
+
+
+def assert_on_the_edge(
+    evaluator: SilhouetteEvaluator, state: FloatArray, points: ContourPoints, factor: int = 8, share: float = 1.0
+) -> None:
+    """Points lie on the outline of a finer mask, which is crossed along the normal from inside to outside.
+
+    ``share`` of them have to: slits narrower than its pixels are outlines too.
+    """
+    mask = SilhouetteEvaluator(evaluator.instruments, finer(evaluator.camera, factor)).mask(state)
+    # Distance of each fine pixel to the nearest on the other side.
+    distance = np.where(mask, distance_transform_edt(mask), distance_transform_edt(~mask))
+
+    def look(image: NDArray[Any], places: FloatArray) -> NDArray[Any]:
+        column, row = np.rint((places + 0.5) * factor - 0.5).astype(int).T
+        return np.asarray(image[np.clip(row, 0, mask.shape[0] - 1), np.clip(column, 0, mask.shape[1] - 1)])
+
+    assert np.quantile(look(distance, points.points_px), share) <= 2.5
+    assert np.linalg.norm(points.normals, axis=1) == pytest.approx(1.0)
+    inside = look(mask, points.points_px - 0.4 * points.normals)
+    outside = ~look(mask, points.points_px + 0.4 * points.normals)
+    # Beside sharp corners and where parts meet, a way of 0.4 pixels leads elsewhere.
+    assert (inside & outside).mean() > 0.95
+    assert (~inside & ~outside).mean() <= 1 - share
+
+
+def outline(mask: NDArray[np.bool_]) -> FloatArray:
+    """``(K, 2)`` places between pixels of which one is covered."""
+    between = []
+    for axis in (0, 1):
+        places = np.argwhere(np.diff(mask, axis=axis)).astype(np.float64)
+        places[:, axis] += 0.5
+        between.append(places[:, ::-1])
+    return np.concatenate(between)
+
+
+def distances_to(places: FloatArray, points: FloatArray) -> FloatArray:
+    return np.asarray(np.linalg.norm(places[:, None] - points[None], axis=2).min(axis=1))
+
+
+@pytest.mark.parametrize("name", STATES)
+@pytest.mark.parametrize("spacing_px", [1, 2])
+def test_contour_points_lie_along_the_whole_outline(name: str, spacing_px: int) -> None:
+    state = STATES[name]
+    evaluator = SilhouetteEvaluator([LND] * (len(state) // 9), HALF)
+    points = evaluator.contour_points(state, spacing_px=spacing_px)
+    assert_on_the_edge(evaluator, state, points)
+    gaps = distances_to(outline(evaluator.mask(state)), points.points_px)
+    assert np.quantile(gaps, 0.98) < spacing_px
+    assert gaps.max() < 2.5 * spacing_px
+
+
+def test_wider_spacing_takes_some_of_the_points() -> None:
+    evaluator = SilhouetteEvaluator([LND], HALF)
+    every, some = (evaluator.contour_points(resting_state(), spacing_px=k) for k in (1, 3))
+    chosen = (every.points_px % 3 == 0).any(axis=1)
+    assert np.isin(some.points_px.view(complex), every.points_px[chosen].view(complex)).all()
+    assert some.lengths_px.sum() == pytest.approx(every.lengths_px.sum(), rel=0.03)
+    with pytest.raises(ValueError, match="spacing_px"):
+        evaluator.contour_points(resting_state(), spacing_px=0)
+
+
+def test_lengths_add_up_to_the_perimeter() -> None:
+    radius, depth = 0.02, 0.12
+    ball = evaluator_of(trimesh.creation.icosphere(4, radius)).contour_points(state_at(0, 0, depth), spacing_px=1)
+    assert ball.lengths_px.sum() == pytest.approx(2 * np.pi * 500 * radius / np.sqrt(depth**2 - radius**2), rel=5e-3)
+    board = evaluator_of(trimesh.creation.box((0.05, 0.03, 0.001)))
+    for beta in (0.0, 0.3, 1.1, np.pi / 2):
+        points = board.contour_points(state_at(0, 0, 0.1005, beta=beta), spacing_px=1)
+        assert points.lengths_px.sum() == pytest.approx(2 * 500 * (0.05 + 0.03) / 0.1, rel=0.01)
+        middle = points.points_px - 200.0
+        assert ((middle * points.normals).sum(axis=1) > 0).all()
+
+
+@pytest.mark.parametrize("name", STATES)
+def test_jacobian_rows_are_how_far_the_contour_moves(name: str) -> None:
+    """Row crossings moved by a small step, seen along the normal."""
+    state = STATES[name]
+    scale = np.tile(STATE_SCALE, len(state) // 9)
+    evaluator = SilhouetteEvaluator([LND] * (len(state) // 9), HALF)
+    points = evaluator.contour_points(state, spacing_px=1)
+    by_place = {tuple(place): k for k, place in enumerate(points.points_px)}
+    step = 1e-5
+    worst, compared = 0.0, 0
+    for component in range(len(state)):
+        moved = [
+            evaluator.row_crossings(state + sign * step * scale * np.eye(len(state))[component]) for sign in (1, -1)
+        ]
+        here = evaluator.row_crossings(state)
+        if any(not np.array_equal(side.row, here.row) for side in moved):
+            continue  # a crossing has come or gone at an end of the contour
+        speed = (moved[0].u_px - moved[1].u_px) / (2 * step)
+        bend = np.abs(moved[0].u_px + moved[1].u_px - 2 * here.u_px) / step
+        for k in np.flatnonzero(bend < 1e-3):
+            sample = by_place.get((here.u_px[k], float(here.row[k])))
+            if sample is None:
+                continue
+            rate = points.jacobian[sample, component] * scale[component]
+            worst = max(worst, abs(rate - speed[k] * points.normals[sample, 0]) / (1e-3 + 1e-3 * abs(rate)))
+            compared += 1
+    assert worst < 1.0
+    assert compared > 100
+
+
+@pytest.mark.parametrize("name", ["usual", "near", "horizontal", "vertical"])
+def test_flat_contours_are_treated_as_steep_ones(name: str) -> None:
+    """A quarter turn of the camera makes columns of rows: points, normals and Jacobians turn along."""
+    state = STATES[name]
+    turned = state.copy()
+    quarter = np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]])
+    turned[ANGLES] = look_at_angles(quarter @ look_at_rotation(state[ANGLES]))
+    turned[POSITION] = quarter @ state[POSITION]
+    evaluator = SilhouetteEvaluator([LND], SQUARE)
+    points, others = evaluator.contour_points(state, spacing_px=1), evaluator.contour_points(turned, spacing_px=1)
+    expected = np.column_stack([400 - points.points_px[:, 1], points.points_px[:, 0]])
+    a, b = (np.lexsort(np.round(places, 6).T) for places in (expected, others.points_px))
+    assert others.points_px[b] == pytest.approx(expected[a], abs=1e-8)
+    assert others.normals[b] == pytest.approx(np.column_stack([-points.normals[:, 1], points.normals[:, 0]])[a])
+    assert others.lengths_px[b] == pytest.approx(points.lengths_px[a])
+    # A move to the right is now one down.
+    for one, other, sign in ((3, 4, 1), (4, 3, -1), (5, 5, 1), (6, 6, 1), (7, 7, 1), (8, 8, 1)):
+        assert others.jacobian[b, other] == pytest.approx(sign * points.jacobian[a, one], rel=1e-6, abs=1e-6)
+
+
+@pytest.mark.parametrize("name", STATES)
+def test_points_add_up_to_the_gradient(name: str) -> None:
+    state = STATES[name]
+    arms = len(state) // 9
+    scale = np.tile(STATE_SCALE, arms)
+    evaluator = SilhouetteEvaluator([LND] * arms, HALF)
+    rng = np.random.default_rng(3)
+    states = state + rng.uniform(-1, 1, (16, len(state))) * scale
+    summed = np.zeros(len(state))
+    for one in states:
+        points = evaluator.contour_points(one, spacing_px=1)
+        summed += points.lengths_px @ points.jacobian * scale
+    gradient = (evaluator.gradient(states, Reference(np.ones((246, 350), bool))).area * scale).sum(axis=0)
+    assert np.linalg.norm(summed - gradient) < 0.05 * np.linalg.norm(gradient)
+
+
+@pytest.mark.parametrize("body", ["touching", "split box", "split sphere"])
+def test_no_contour_within_a_body(body: str) -> None:
+    """Where parts touch, or a face has no area, edges coincide and cancel."""
+    evaluator = evaluator_of(DEGENERATE[body])
+    rng = np.random.default_rng(2)
+    for _ in range(5):
+        state = np.array([*rng.uniform(-1, 1, 3), *rng.uniform(-0.01, 0.01, 2), 0.15, 0, 0, 0])
+        assert_on_the_edge(evaluator, state, evaluator.contour_points(state, spacing_px=1), factor=4)
+
+
+# --- row crossings ------------------------------------------------------------------------------------------------
+
+
+def assert_crossings_bound_the_mask(evaluator: SilhouetteEvaluator, state: FloatArray) -> None:
+    width = evaluator.camera.width
+    mask, crossings = evaluator.mask(state), evaluator.row_crossings(state)
+    order = np.lexsort((crossings.u_px, crossings.row))
+    assert np.array_equal(order, np.arange(len(order)))
+    assert set(crossings.sign) <= {-1, 1}
+    assert ((crossings.u_px >= -0.5) & (crossings.u_px < width - 0.5)).all()
+    for row in range(evaluator.camera.height):
+        here = crossings.row == row
+        columns = np.clip(np.ceil(crossings.u_px[here]), 0, width).astype(int)
+        signs = crossings.sign[here]
+        assert (np.diff(signs) != 0).all()
+        if len(columns) == 0:
+            assert mask[row].all() or not mask[row].any()
+            continue
+        # What reaches over the border has no crossing there.
+        bounds = [*([0] if signs[0] > 0 else []), *columns, *([width] if signs[-1] < 0 else [])]
+        filled = np.zeros(width, bool)
+        for begin, end in zip(bounds[::2], bounds[1::2], strict=True):
+            filled[begin:end] = True
+        assert np.array_equal(filled, mask[row])
+
+
+@settings(max_examples=60, deadline=None)
+@given(camera=cameras, body=st.sampled_from(sorted(BODIES)), state=poses)
+def test_crossings_of_bodies_bound_the_mask(camera: Camera, body: str, state: FloatArray) -> None:
+    # Where the near plane cuts a body there are no crossings.
+    assume((BODIES[body].vertices @ look_at_rotation(state[ANGLES])[2] + state[5]).min() > NEAR_M)
+    assert_crossings_bound_the_mask(evaluator_of(BODIES[body], camera), state)
+
+
+@settings(max_examples=30, deadline=None)
+@given(state=needle_driver_states)
+def test_crossings_of_a_needle_driver_bound_the_mask(small_camera: Camera, state: FloatArray) -> None:
+    # Far enough for the near plane to cut the shaft outside the image, if at all.
+    assume(state[5] > 0.06)
+    assert_crossings_bound_the_mask(SilhouetteEvaluator([LND], small_camera), state)
+
+
+def test_crossings_of_two_arms_bound_the_mask() -> None:
+    evaluator = SilhouetteEvaluator([LND, LND], HALF)
+    for state in two_arm_states(5):
+        assert_crossings_bound_the_mask(evaluator, state)
+
+
+# --- room ---------------------------------------------------------------------------------------------------------
+
+
+def test_many_spans_in_a_row_and_many_points() -> None:
+    """More than the first scratch has room for, of both; each fold is like the next."""
+    mesh = zigzag(60, 0.0004, 0.0011, 0.07)
+    state = state_at(0.0, 0.0, 0.1, 0.02, 0.03, 0.01)
+    fresh = evaluator_of(mesh)
+    crossings = fresh.row_crossings(state)
+    assert np.bincount(crossings.row).max() > 100
+    assert_crossings_bound_the_mask(fresh, state)
+    points = evaluator_of(mesh).contour_points(state, spacing_px=1)
+    assert len(points.arm) > 4 * (SQUARE.width + SQUARE.height)
+    assert_on_the_edge(fresh, state, points, factor=4, share=0.98)
+    half_plane = Reference(np.indices((401, 401))[0] < 150)
+    first = evaluator_of(mesh).gradient(np.stack([state, state * 0.99, state]), half_plane)
+    assert np.array_equal(first.area[0], first.area[2])
+    for warm in (fresh.gradient(state[None], half_plane), fresh.gradient(state[None], half_plane)):
+        assert np.array_equal(warm.area[0], first.area[0])
+        assert np.array_equal(warm.overlap[0], first.overlap[0])
+    counts = FinerCounts(fresh, half_plane.mask, 8)
+    steps = 0.25 * STATE_SCALE
+    means = means_over_steps(fresh, state, steps, half_plane) * STATE_SCALE
+    expected = counts.differences(state, steps) * STATE_SCALE
+    assert np.linalg.norm(means - expected) < 0.02 * np.linalg.norm(expected)
+    # And the scratch still serves what needs little room.
+    assert_counts_belong_to_mask(fresh, state, fresh.mask(state))

@@ -11,11 +11,10 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from support import resting_state, rigid_instrument
 
-from surgbench.camera import Camera
+from surgbench.camera import NEAR_M, Camera
 from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument, load_instrument
 from surgbench.silhouette import SilhouetteEvaluator
-from surgbench.silhouette.layout import NEAR_M
 from surgbench.silhouette.visibility import VisibilityEvaluator, _Lens, nearest_surface
 
 DRIVER = load_instrument("large_needle_driver")

@@ -27,6 +27,11 @@ from surgbench.state import STATE_SIZE
 
 # Edges of at most so many columns a row are sampled by rows, the others by columns.
 STEEP = 1.0
+# An edge of exactly that slope is sampled by rows alone.
+FLAT = float(np.nextafter(1.0 / STEEP, 0.0))
+
+# Spans nearer to each other than this touch, but for rounding.
+TOUCHING_PX = 1e-9
 
 # Spans of a line are sorted by packed keys.
 PLACE_BITS = 16
@@ -147,7 +152,7 @@ def _sweep(
                 place = 2 * ((merged[m] & SPAN_MASK) * lines + line)
                 next_first, next_last = rows.columns[place + 1], rows.columns[place]
                 next_end = crossing(next_last, line, rows)
-                if crossing(next_first, line, rows) > end:
+                if crossing(next_first, line, rows) > end + TOUCHING_PX:
                     if m > 0:
                         found = _keep(first, line, far, steep, mesh_edges, found, rows, boundary)
                         found = _keep(last, line, far, steep, mesh_edges, found, rows, boundary)
@@ -181,7 +186,7 @@ def find_boundary(edges: int, spacing: int, bodies: Any, lens: Any, contour: Any
     a, z = cover(edges, bodies, contour, boundary.rows, width, height, False, True)
     row_found, row_layers = _sweep(a, z, width, height, spacing, STEEP, mesh_edges, 0, boundary.rows, boundary)
     a, z = cover(edges, bodies, contour, boundary.columns, width, height, True, True)
-    found, layers = _sweep(a, z, height, width, spacing, 1.0 / STEEP, mesh_edges, row_found, boundary.columns, boundary)
+    found, layers = _sweep(a, z, height, width, spacing, FLAT, mesh_edges, row_found, boundary.columns, boundary)
     return row_found, found, max(row_layers, layers)
 
 
@@ -194,11 +199,21 @@ def _pixel(u: float, v: float, mask: Any) -> Any:
 
 
 @compiled
-def _sum_samples(first: int, last: int, across: bool, mask: Any, boundary: Any) -> Any:
-    """Add the crossings of rows, or of columns, up by edge."""
+def _sum_samples(first: int, last: int, across: bool, mask: Any, rows: Any, boundary: Any) -> Any:
+    """Add the crossings of rows, or of columns, up by edge.
+
+    From half a line before to half a line after, an edge lies over one pixel or two: each counts by its share.
+    """
+    limit = mask.shape[0] if across else mask.shape[1]
     for k in range(first, last):
-        n, line, nearest = boundary.edge[k], boundary.line[k], np.int64(boundary.at[k] + 0.5)
-        inside = 1.0 if (mask[nearest, line] if across else mask[line, nearest]) else 0.0
+        n, line = boundary.edge[k], boundary.line[k]
+        at, half = boundary.at[k] + 0.5, 0.5 * abs(rows.slope[n])
+        low, high = at - half, at + half
+        a, b = max(np.int64(low), 0), min(np.int64(high), limit - 1)
+        inside = 1.0 if (mask[a, line] if across else mask[line, a]) else 0.0
+        if a != b:
+            other = 1.0 if (mask[b, line] if across else mask[line, b]) else 0.0
+            inside += (other - inside) * (high - b) / (high - low)
         boundary.length[n] += 1.0
         boundary.moment[n] += line
         boundary.mask_length[n] += inside
@@ -298,8 +313,8 @@ def sum_wrenches(
     for n in range(mesh_edges):
         boundary.length[n] = boundary.moment[n] = boundary.mask_length[n] = boundary.mask_moment[n] = 0.0
         boundary.lowest[n], boundary.highest[n] = np.int32(2147483647), np.int32(-1)
-    _sum_samples(0, row_found, False, mask, boundary)
-    _sum_samples(row_found, found, True, mask, boundary)
+    _sum_samples(0, row_found, False, mask, boundary.rows, boundary)
+    _sum_samples(row_found, found, True, mask, boundary.columns, boundary)
     _mend_ends(mesh_edges, mesh, lens, contour, mask, boundary)
     wrench = boundary.wrench
     wrench[:] = 0.0

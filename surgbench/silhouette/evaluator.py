@@ -12,14 +12,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surgbench.camera import Camera
+from surgbench.camera import NEAR_M, Camera
 from surgbench.contract import Mask
 from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument
 from surgbench.silhouette import kernel
 from surgbench.silhouette.boundary import Boundary, boundary_scratch
 from surgbench.silhouette.contour import contour_scratch
-from surgbench.silhouette.layout import NEAR_M, Bodies, Lens, Links, Mesh, assemble, lens
+from surgbench.silhouette.layout import Bodies, Lens, Links, Mesh, assemble, lens
 from surgbench.silhouette.spans import add_up, rows_scratch
 from surgbench.state import STATE_SIZE
 

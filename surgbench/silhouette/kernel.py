@@ -89,6 +89,9 @@ def gradient(
     layers = 0
     for s in range(states.shape[0]):
         edges = trace(states[s], links, bodies, mesh, lens, contour)
+        if edges == 0:
+            gradients[:, s] = 0.0
+            continue
         row_found, found, needed = find_boundary(edges, 1, bodies, lens, contour, boundary)
         layers = max(layers, needed)
         sum_wrenches(row_found, found, bodies, mesh, lens, contour, mask, boundary)

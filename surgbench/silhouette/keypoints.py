@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from surgbench.camera import Camera
+from surgbench.camera import NEAR_M, Camera
 from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument
 from surgbench.silhouette.boundary import map_links, pull_back, push
 from surgbench.silhouette.compiled import compiled
 from surgbench.silhouette.contour import place_links
-from surgbench.silhouette.layout import NEAR_M, assemble_links, lens
+from surgbench.silhouette.layout import assemble_links, lens
 from surgbench.state import STATE_SIZE
 
 TIPS = 2

@@ -19,9 +19,6 @@ from surgbench.instrument.meshes import Faces, check_mesh
 Indices = NDArray[np.uint32]
 Starts = NDArray[np.int64]
 
-# Surfaces nearer to the camera plane than this are not seen.
-NEAR_M = 1e-3
-
 # Adjacent triangles are one facet if no corner of one is farther than this from the plane of the other: 1e-8 pixels
 # at a working distance.
 COPLANAR_M = 1e-12

@@ -19,13 +19,13 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surgbench.camera import Camera
+from surgbench.camera import NEAR_M, Camera
 from surgbench.contract import Mask
 from surgbench.errors import ConfigError, unknown_name
 from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument
 from surgbench.silhouette.evaluator import Reference, RowSums, Score
-from surgbench.silhouette.layout import NEAR_M, Links, assemble
+from surgbench.silhouette.layout import Links, assemble
 from surgbench.state import ALPHA, BETA, GAMMA, JOINTS, POSITION, STATE_SIZE
 
 try:

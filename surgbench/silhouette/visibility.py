@@ -14,11 +14,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
-from surgbench.camera import Camera
+from surgbench.camera import NEAR_M, Camera
 from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument
 from surgbench.silhouette.evaluator import SilhouetteEvaluator
-from surgbench.silhouette.layout import NEAR_M
 from surgbench.state import STATE_SIZE, split_arms
 
 

@@ -8,11 +8,10 @@ import numpy as np
 
 from surgbench.bench.peers.base import Peer
 from surgbench.bench.peers.body import Body, pixel_rays
-from surgbench.camera import Camera
+from surgbench.camera import NEAR_M, Camera
 from surgbench.contract import Mask
 from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument
-from surgbench.silhouette.layout import NEAR_M
 
 
 class Embreex(Peer):

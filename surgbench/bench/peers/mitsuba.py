@@ -9,12 +9,11 @@ import numpy as np
 
 from surgbench.bench.peers.base import Peer
 from surgbench.bench.peers.body import Body
-from surgbench.camera import Camera
+from surgbench.camera import NEAR_M, Camera
 from surgbench.contract import Mask
-from surgbench.generators.render import add_part, depth_view
+from surgbench.depth_scene import add_part, depth_view
 from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument
-from surgbench.silhouette.layout import NEAR_M
 
 # LLVM 15 and 16 load and then kill the process: "Cannot select: f32 = fmaximum".
 OLDEST_LLVM = 17
@@ -75,8 +74,7 @@ class MitsubaScalar(_Mitsuba):
     variant: ClassVar[str] = "scalar_rgb"
 
     def _view(self) -> dict[str, Any]:
-        view: dict[str, Any] = depth_view(self._mi, self.camera)
-        return view
+        return depth_view(self._mi, self.camera)
 
     def _seen(self, transform: FloatArray) -> FloatArray:
         scaled = transform.copy()

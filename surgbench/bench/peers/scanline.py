@@ -13,11 +13,10 @@ from numba import njit
 
 from surgbench.bench.peers.base import Peer
 from surgbench.bench.peers.body import Body
-from surgbench.camera import Camera
+from surgbench.camera import NEAR_M, Camera
 from surgbench.contract import Mask
 from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument
-from surgbench.silhouette.layout import NEAR_M
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
