@@ -20,7 +20,7 @@ from support import resting_state, rigid_instrument
 from surgbench.camera import NEAR_M, Camera
 from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument, load_instrument
-from surgbench.silhouette import Reference, SilhouetteEvaluator
+from surgbench.silhouette import Reference, RowSums, SilhouetteEvaluator
 
 
 def clip_to_near(polygon: FloatArray) -> FloatArray:
@@ -465,3 +465,74 @@ def test_a_forked_process_has_threads_of_its_own(small_camera: Camera) -> None:
     code = child.exitcode
     child.kill()
     assert code == 0
+
+
+# --- what strangers hand in ---------------------------------------------------------------------------------------
+
+
+def test_huge_states_cover_nothing_and_harm_nothing(small_camera: Camera) -> None:
+    """Finite, but their pixels are not."""
+    evaluator = SilhouetteEvaluator([load_instrument("large_needle_driver")], small_camera)
+    states = np.tile(resting_state(), (300, 1))
+    rng = np.random.default_rng(0)
+    states[:, 3:6] = rng.uniform(-1, 1, (300, 3)) * 10.0 ** rng.uniform(90, 308, (300, 1))
+    reference = Reference(np.ones((62, 88), bool))
+    huge = np.abs(states).max(axis=1) > 1e101
+    assert not evaluator.score(states, reference).area[huge].any()
+    assert not evaluator.gradient(states, reference).area[huge].any()
+    assert len(evaluator.contour_points(states[-1]).arm) == 0
+
+
+def test_threads_that_share_an_evaluator_wait_for_one_another(small_camera: Camera) -> None:
+    evaluator = SilhouetteEvaluator([load_instrument("large_needle_driver")], small_camera)
+    states = resting_state() + np.random.default_rng(0).normal(0, 0.01, (40, 9))
+    reference = Reference(evaluator.mask(resting_state()))
+    area, slope = evaluator.score(states, reference).area, evaluator.gradient(states, reference).area
+
+    def repeat(_: int) -> bool:
+        same = [np.array_equal(evaluator.score(states, reference).area, area) for _ in range(20)]
+        return all(same) and np.array_equal(evaluator.gradient(states, reference).area, slope)
+
+    with ThreadPoolExecutor(4) as pool:
+        assert all(pool.map(repeat, range(8)))
+
+
+def test_a_reference_is_a_copy(small_camera: Camera) -> None:
+    evaluator = SilhouetteEvaluator([rigid_instrument(BODIES["box"])], small_camera)
+    state = np.array([0.1, 0.2, 0.3, 0, 0, 0.1, 0, 0, 0])
+    buffer = evaluator.mask(state)
+    reference = Reference(buffer)
+    before = evaluator.gradient(state[None], reference).overlap
+    buffer[:] = False
+    assert np.array_equal(evaluator.gradient(state[None], reference).overlap, before)
+    assert before.any()
+
+
+@pytest.mark.parametrize(
+    "image",
+    [np.full((62, 88), 0.7), np.arange(62 * 88).reshape(62, 88), np.zeros((62, 88, 3), bool), np.zeros(5, bool)],
+)
+def test_what_is_no_mask_is_refused(image: np.ndarray) -> None:
+    with pytest.raises(ValueError, match=r"a mask must be bool|\(H, W\)"):
+        Reference(image)
+
+
+def test_masks_of_integers_count(small_camera: Camera) -> None:
+    mask = np.indices((62, 88)).sum(axis=0) % 3 == 0
+    assert Reference(mask.astype(np.uint8) * 255).area == Reference(mask).area == np.count_nonzero(mask)
+
+
+def test_likely_mistakes_are_answered(small_camera: Camera) -> None:
+    box = rigid_instrument(BODIES["box"])
+    evaluator = SilhouetteEvaluator([box], small_camera)
+    with pytest.raises(TypeError, match=r"make Reference\(mask\) of it"):
+        evaluator.gradient(np.zeros((1, 9)), np.zeros((62, 88), bool))  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="at least one instrument"):
+        SilhouetteEvaluator([], small_camera)
+    with pytest.raises(ValueError, match="near_m must be positive"):
+        SilhouetteEvaluator([box], small_camera, near_m=-1.0)
+    with pytest.raises(TypeError):
+        evaluator.contour_points(np.zeros(9), spacing_px=1.5)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="31 bits"):
+        RowSums(np.full((62, 88), 2**40))
+    assert len(evaluator.score([], Reference(np.zeros((62, 88), bool))).area) == 0

@@ -15,7 +15,8 @@ from surgbench.camera import NEAR_M, Camera
 from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument, load_instrument
 from surgbench.silhouette import SilhouetteEvaluator
-from surgbench.silhouette.visibility import VisibilityEvaluator, _Lens, nearest_surface
+from surgbench.silhouette.layout import Lens
+from surgbench.silhouette.visibility import VisibilityEvaluator, nearest_surface
 
 DRIVER = load_instrument("large_needle_driver")
 
@@ -182,14 +183,14 @@ def test_pixel_that_no_face_covers_takes_the_nearest_edge() -> None:
     wanted = np.zeros((8, 8), dtype=bool)
     wanted[2:6, 2:6] = True
     depth = np.empty((8, 8))
-    lens = _Lens(1.0, 1.0, 2.0, 2.0, NEAR_M)
+    lens = Lens(16, 16, 1.0, 1.0, 2.0, 2.0, NEAR_M)
     nearest_surface(np.array(box.vertices), np.array(box.faces, dtype=np.int32), lens, wanted, depth)
     assert np.array_equal(depth, np.where(wanted, 1.0, np.inf))
 
 
 def test_face_seen_edge_on_is_nowhere_deeper_than_its_corners() -> None:
     """Its plane holds the ray, so that the depth there is 0 / 0 but for rounding."""
-    lens, rng = _Lens(113.2, 113.1, 36.3, 29.4, NEAR_M), np.random.default_rng(0)
+    lens, rng = Lens(88, 62, 113.2, 113.1, 36.3, 29.4, NEAR_M), np.random.default_rng(0)
     wanted, depth = np.zeros((62, 88), dtype=bool), np.empty((62, 88))
     faces = np.array([[0, 1, 2], [0, 2, 1]], dtype=np.int32)
     for _ in range(200):

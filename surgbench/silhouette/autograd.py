@@ -9,6 +9,7 @@ from typing import Any
 
 import torch
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from surgbench.silhouette.evaluator import Reference, SilhouetteEvaluator
 from surgbench.silhouette.keypoints import KeypointProjector
@@ -25,6 +26,7 @@ class _Areas(torch.autograd.Function):
         return torch.from_numpy(score.area).to(states), torch.from_numpy(score.overlap).to(states)
 
     @staticmethod
+    @once_differentiable
     def backward(ctx: Any, *slopes: Tensor) -> tuple[Tensor, None, None]:
         (states,) = ctx.saved_tensors
         gradient = ctx.evaluator.gradient(states.detach().cpu().numpy(), ctx.reference)
@@ -40,17 +42,24 @@ class _Tips(torch.autograd.Function):
         return torch.from_numpy(projector.project(states.detach().cpu().numpy())).to(states)
 
     @staticmethod
+    @once_differentiable
     def backward(ctx: Any, *slopes: Tensor) -> tuple[Tensor, None]:
         (states,) = ctx.saved_tensors
         pulled = ctx.projector.pull_back(states.detach().cpu().numpy(), slopes[0].detach().cpu().numpy())
         return torch.from_numpy(pulled).to(states), None
 
 
+def _check(states: Tensor) -> None:
+    if not isinstance(states, Tensor) or states.dtype not in (torch.float32, torch.float64):
+        kind = states.dtype if isinstance(states, Tensor) else type(states).__name__
+        raise TypeError(f"states must be a tensor of float32 or float64, got {kind}")
+
+
 def areas(states: Tensor, evaluator: SilhouetteEvaluator, reference: Reference) -> tuple[Tensor, Tensor]:
     """Pixels covered, and covered inside the reference mask, with the gradient of the area integrals behind them.
 
     Args:
-        states: ``(N, 9 * arms)`` floating point.
+        states: ``(N, 9 * arms)`` float32 or float64.
         evaluator: Of the instruments and the camera.
         reference: Mask of the camera's size.
 
@@ -58,11 +67,13 @@ def areas(states: Tensor, evaluator: SilhouetteEvaluator, reference: Reference) 
         ``(N,)`` area and ``(N,)`` overlap in pixels, of the states' type and device: the exact counts of
         :meth:`SilhouetteEvaluator.score`, whose gradient is that of :meth:`SilhouetteEvaluator.gradient`.
     """
-    area, overlap = _Areas.apply(states, evaluator, reference)  # type: ignore[no-untyped-call]
+    _check(states)
+    area, overlap = _Areas.apply(states, evaluator, reference)
     return area, overlap
 
 
 def tips(states: Tensor, projector: KeypointProjector) -> Tensor:
     """Projected tips, ``(N, arms, 2, 2)`` pixels, of ``(N, 9 * arms)`` states; NaN behind the camera."""
-    places: Tensor = _Tips.apply(states, projector)  # type: ignore[no-untyped-call]
+    _check(states)
+    places: Tensor = _Tips.apply(states, projector)
     return places

@@ -17,6 +17,9 @@ from surgbench.geometry import FloatArray
 from surgbench.silhouette.compiled import compiled
 from surgbench.silhouette.layout import Bodies, Indices, Links, Mesh, Starts
 
+# States with larger components cover nothing.
+LARGEST = 1e100
+
 
 class Contour(NamedTuple):
     """Scratch, and after :func:`trace` the contour of one state."""
@@ -227,10 +230,13 @@ def _gather(edge: Any, mesh: Any, contour: Any) -> None:
 def trace(state: Any, links: Any, bodies: Any, mesh: Any, lens: Any, contour: Any) -> Any:
     """Find the contour of one state ``(9 * arms,)``; returns how many edges it has, closing ones included.
 
-    A state that is not finite has none.
+    A state that is not finite, or so large that its pixels would not be, has none.
     """
     count = bodies.link.shape[0]
-    if not np.isfinite(state.sum()):
+    largest = 0.0
+    for i in range(state.shape[0]):
+        largest = max(largest, abs(state[i])) if state[i] == state[i] else np.inf
+    if largest > LARGEST:
         contour.start[:] = 0
         contour.closing[:] = 0
         return 0

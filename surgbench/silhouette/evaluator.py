@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import copy
+import operator
 import os
+import threading
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -32,25 +34,43 @@ class RowSums:
 
     Attributes:
         prefix: ``(H, W + 1)``: sum of the row left of each column; uint16 for masks, else int32.
+
+    Raises:
+        ValueError: Not such an image.
     """
 
     def __init__(self, image: NDArray[np.integer] | Mask) -> None:
-        height, width = image.shape
-        dtype = np.uint16 if image.dtype == bool else np.int32
-        self.prefix: NDArray[np.integer] = np.empty((height, width + 1), dtype=dtype)
-        self._total = int(add_up(image, self.prefix))
+        array = np.array(image, order="C")  # a copy: the caller may go on writing into his
+        if array.ndim != 2 or array.dtype.kind not in "biu":
+            raise ValueError(f"an image of bool or integers, (H, W), is needed; got {array.dtype} {array.shape}")
+        if array.dtype != bool:
+            if array.size and np.abs(array.astype(np.float64)).sum(axis=1).max() >= 2**31:
+                raise ValueError("the sum of a row's absolute values must fit 31 bits")
+            array = array.astype(np.int64)
+        height, width = array.shape
+        self.prefix: NDArray[np.integer] = np.empty((height, width + 1), np.uint16 if array.dtype == bool else np.int32)
+        self._total = int(add_up(array, self.prefix))
 
 
 class Reference(RowSums):
     """A mask prepared to be scored against.
 
+    Args:
+        mask: ``(H, W)`` bool, or integers of which only one is not zero (0 and 1, or 0 and 255).
+
     Attributes:
-        mask: ``(H, W)`` bool.
+        mask: ``(H, W)`` bool, a copy.
         area: Number of its pixels.
+
+    Raises:
+        ValueError: Not a mask.
     """
 
-    def __init__(self, mask: Mask) -> None:
-        self.mask: Mask = np.ascontiguousarray(mask, dtype=bool)
+    def __init__(self, mask: Mask | NDArray[np.integer]) -> None:
+        array = np.asarray(mask)
+        if array.dtype.kind not in "biu" or (array.dtype != bool and not ((array == 0) | (array == array.max())).all()):
+            raise ValueError(f"a mask must be bool, or integers 0 and one other; got {array.dtype}: threshold it first")
+        self.mask: Mask = np.array(array, dtype=bool, order="C")
         super().__init__(self.mask)
         self.area = self._total
 
@@ -138,7 +158,8 @@ class SilhouetteEvaluator:
     """Counts the pixels that instruments cover, for many states at once.
 
     The counts are those of a rasteriser that tests every pixel centre: parts outside the image, behind the
-    camera or crossing the near plane, overlapping arms and interpenetrating parts included.
+    camera or crossing the near plane, overlapping arms and interpenetrating parts included. Calls from several threads
+    wait for one another.
 
     Args:
         instruments: One per arm; states have ``9 * len(instruments)`` components.
@@ -153,11 +174,12 @@ class SilhouetteEvaluator:
     def __init__(
         self, instruments: Sequence[Instrument], camera: Camera, near_m: float = NEAR_M, threads: int = 1
     ) -> None:
-        if threads < 1:
+        if operator.index(threads) < 1:
             raise ValueError(f"threads must be at least 1, got {threads}")
         self.instruments = tuple(instruments)
         self.camera = camera
         self.threads = threads
+        self._lock = threading.Lock()
         self._lens = lens(camera, near_m)
         self._links, self._bodies, self._mesh = assemble(self.instruments)
         self._contours = [contour_scratch(self._links, self._bodies, self._mesh) for _ in range(threads)]
@@ -192,8 +214,11 @@ class SilhouetteEvaluator:
         return len(self._mesh.faces)
 
     def _states(self, states: ArrayLike, ndim: int) -> FloatArray:
-        array = np.ascontiguousarray(states, dtype=np.float64)
+        # A copy, which compiled code can take whatever the original is like (read-only, say).
+        array = np.array(states, dtype=np.float64, order="C")
         size = STATE_SIZE * len(self.instruments)
+        if array.size == 0 and array.ndim == 1 and ndim == 2:
+            array = array.reshape(0, size)
         if array.ndim != ndim or array.shape[-1] != size:
             raise ValueError(f"states must have {ndim} dimensions, the last of size {size}; got {array.shape}")
         return array
@@ -232,16 +257,20 @@ class SilhouetteEvaluator:
 
     def _count(self, states: ArrayLike, sums: RowSums, numbers: int) -> NDArray[np.int64]:
         batch = self._states(states, 2)
-        self._check_size(*sums.prefix.shape)
+        self._check_image(sums, RowSums)
         counts = np.empty((numbers, len(batch)), np.int64)
-        while not self._fits(self._count_in_threads(batch, sums, counts)):
-            pass
+        with self._lock:
+            while not self._fits(self._count_in_threads(batch, sums, counts)):
+                pass
         return counts
 
-    def _check_size(self, height: int, width_and_one: int) -> None:
-        if (height, width_and_one) != (self.camera.height, self.camera.width + 1):
+    def _check_image(self, image: RowSums, kind: type[RowSums]) -> None:
+        if not isinstance(image, kind):
+            raise TypeError(f"expected a {kind.__name__}, got {type(image).__name__}: make {kind.__name__}(mask) of it")
+        height, width = image.prefix.shape[0], image.prefix.shape[1] - 1
+        if (height, width) != (self.camera.height, self.camera.width):
             expected = f"{self.camera.width} x {self.camera.height}"
-            raise ValueError(f"the image is {width_and_one - 1} x {height}, the camera {expected}")
+            raise ValueError(f"the image is {width} x {height}, the camera {expected}")
 
     @property
     def _fixed(self) -> tuple[Links, Bodies, Mesh, Lens]:
@@ -257,7 +286,11 @@ class SilhouetteEvaluator:
         if self.threads == 1:
             return work(0)
         helpers = [_helpers(self.threads).submit(work, thread) for thread in range(1, self.threads)]
-        return max([work(0), *(helper.result() for helper in helpers)])
+        try:
+            layers = work(0)
+        finally:
+            wait(helpers)  # also when interrupted: they write into this evaluator's scratch
+        return max([layers, *(helper.result() for helper in helpers)])
 
     def gradient(self, states: ArrayLike, reference: Reference) -> Gradient:
         """Derivatives of area and overlap with respect to each state.
@@ -278,12 +311,13 @@ class SilhouetteEvaluator:
             ValueError: Wrong shape of states or mask.
         """
         batch = self._states(states, 2)
-        self._check_size(*reference.prefix.shape)
+        self._check_image(reference, Reference)
         result = np.empty((2, *batch.shape))
-        while True:
-            scratch = self._contours[0], self._scratch_boundary()
-            if self._fits(kernel.gradient(batch, *self._fixed, *scratch, reference.mask, result)):
-                return Gradient(result[0], result[1])
+        with self._lock:
+            while True:
+                scratch = self._contours[0], self._scratch_boundary()
+                if self._fits(kernel.gradient(batch, *self._fixed, *scratch, reference.mask, result)):
+                    return Gradient(result[0], result[1])
 
     def contour_points(self, state: ArrayLike, spacing_px: int = 2) -> ContourPoints:
         """Sample the visible contour of one state ``(9 * arms,)``, for least-squares trackers.
@@ -299,12 +333,17 @@ class SilhouetteEvaluator:
             ValueError: Wrong shape, or a spacing below 1.
         """
         one = self._states(state, 1)
-        if spacing_px < 1:
+        spacing = operator.index(spacing_px)
+        if spacing < 1:
             raise ValueError(f"spacing_px must be at least 1, got {spacing_px}")
+        with self._lock:
+            return self._sample(one, int(spacing))
+
+    def _sample(self, one: FloatArray, spacing: int) -> ContourPoints:
         while True:
             samples = self._samples
             scratch = self._contours[0], self._scratch_boundary()
-            found, layers = kernel.contour_points(one, spacing_px, *self._fixed, *scratch, *samples)
+            found, layers = kernel.contour_points(one, spacing, *self._fixed, *scratch, *samples)
             if self._fits(layers) and found <= len(samples.arm):
                 places, normals, lengths, arm, rates = samples
                 taken = (places[:found], normals[:found], lengths[:found], arm[:found], rates[:found])
@@ -320,18 +359,20 @@ class SilhouetteEvaluator:
     def row_crossings(self, state: ArrayLike) -> RowCrossings:
         """Where the visible contour of one state ``(9 * arms,)`` crosses the centre lines of pixel rows."""
         one = self._states(state, 1)
-        while True:
-            boundary = self._scratch_boundary()
-            found, layers = kernel.row_crossings(one, *self._fixed, self._contours[0], boundary)
-            if self._fits(layers):
-                edge = boundary.edge[:found]
-                sign = np.where(boundary.rows.begins[edge], -1, 1)
-                return RowCrossings(boundary.line[:found].astype(np.int64), boundary.at[:found].copy(), sign)
+        with self._lock:
+            while True:
+                boundary = self._scratch_boundary()
+                found, layers = kernel.row_crossings(one, *self._fixed, self._contours[0], boundary)
+                if self._fits(layers):
+                    edge = boundary.edge[:found]
+                    sign = np.where(boundary.rows.begins[edge], -1, 1)
+                    return RowCrossings(boundary.line[:found].astype(np.int64), boundary.at[:found].copy(), sign)
 
     def mask(self, state: ArrayLike) -> Mask:
         """Silhouette of one state ``(9 * arms,)`` as an ``(H, W)`` bool image."""
         one = self._states(state, 1)
         image = np.zeros((self.camera.height, self.camera.width), dtype=bool)
-        while not self._fits(kernel.paint(one, *self._fixed, self._contours[0], self._rows[0], image)):
-            image[:] = False
+        with self._lock:
+            while not self._fits(kernel.paint(one, *self._fixed, self._contours[0], self._rows[0], image)):
+                image[:] = False
         return image

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Sequence
 from typing import Any
 
@@ -29,6 +30,8 @@ class KeypointProjector:
     """
 
     def __init__(self, instruments: Sequence[Instrument], camera: Camera) -> None:
+        self.instruments = tuple(instruments)
+        self.camera = camera
         self._arms = len(instruments)
         self._links = assemble_links(instruments)
         self._lens = lens(camera, NEAR_M)
@@ -36,12 +39,16 @@ class KeypointProjector:
         tips = [(arm, tip) for arm, instrument in enumerate(instruments) for tip in instrument.spec.tips]
         self._tip_link = np.array([first[arm] + instruments[arm].link_index[tip.link] for arm, tip in tips])
         self._tip = np.array([tip.point_m for _, tip in tips], dtype=np.float64)
+        self._lock = threading.Lock()
         self._pose = np.empty((len(self._links.parent), 3, 4))
         self._wrench = np.zeros((2, len(self._links.parent), 6))
         self._maps = np.zeros((len(self._links.parent), STATE_SIZE, 6))
 
+    def __reduce__(self) -> tuple[type, tuple[Any, ...]]:
+        return type(self), (self.instruments, self.camera)
+
     def _batch(self, states: ArrayLike) -> FloatArray:
-        batch = np.ascontiguousarray(states, dtype=np.float64)
+        batch = np.array(states, dtype=np.float64, order="C")
         if batch.ndim != 2 or batch.shape[1] != STATE_SIZE * self._arms:
             raise ValueError(f"states must be (N, {STATE_SIZE * self._arms}), got {batch.shape}")
         return batch
@@ -54,7 +61,8 @@ class KeypointProjector:
         """
         batch = self._batch(states)
         places = np.empty((len(batch), len(self._tip), 2))
-        _project(batch, self._links, self._lens, self._tip_link, self._tip, self._pose, places)
+        with self._lock:
+            _project(batch, self._links, self._lens, self._tip_link, self._tip, self._pose, places)
         return places.reshape(len(batch), self._arms, TIPS, 2)
 
     def pull_back(self, states: ArrayLike, slopes: ArrayLike) -> FloatArray:
@@ -71,13 +79,14 @@ class KeypointProjector:
             ValueError: Wrong shape.
         """
         batch = self._batch(states)
-        forces = np.ascontiguousarray(slopes, dtype=np.float64)
+        forces = np.array(slopes, dtype=np.float64, order="C")
         if forces.shape != (len(batch), self._arms, TIPS, 2):
             raise ValueError(f"slopes must be ({len(batch)}, {self._arms}, {TIPS}, 2), got {forces.shape}")
         result = np.empty_like(batch)
         scratch = self._pose, self._wrench, self._maps
         forces = forces.reshape(len(batch), -1, 2)
-        _pull_back(batch, self._links, self._lens, self._tip_link, self._tip, *scratch, forces, result)
+        with self._lock:
+            _pull_back(batch, self._links, self._lens, self._tip_link, self._tip, *scratch, forces, result)
         return result
 
 

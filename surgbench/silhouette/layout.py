@@ -81,12 +81,25 @@ class Lens(NamedTuple):
 
 
 def lens(camera: Camera, near_m: float) -> Lens:
-    """The camera's numbers as compiled code takes them."""
-    return Lens(camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy, near_m)
+    """The camera's numbers as compiled code takes them.
+
+    Raises:
+        ValueError: The near plane is not before the camera.
+    """
+    near = float(near_m)
+    if not 0.0 < near < np.inf:
+        raise ValueError(f"near_m must be positive and finite, got {near_m}")
+    return Lens(camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy, near)
 
 
 def assemble_links(instruments: Sequence[Instrument]) -> Links:
-    """Lay the chains of all arms end to end."""
+    """Lay the chains of all arms end to end.
+
+    Raises:
+        ValueError: There is no instrument.
+    """
+    if not instruments:
+        raise ValueError("at least one instrument is needed, one per arm")
     counts = [len(instrument.spec.links) for instrument in instruments]
     first = np.cumsum([0, *counts[:-1]])
     parents = [np.where(i.parents < 0, -1, i.parents + offset) for i, offset in zip(instruments, first, strict=True)]
@@ -103,8 +116,11 @@ def assemble(instruments: Sequence[Instrument]) -> tuple[Links, Bodies, Mesh]:
     """Lay the links and meshes of all arms end to end.
 
     Raises:
-        ValueError: A link's mesh is not closed.
+        ValueError: A link's mesh is not closed, or no link has one.
     """
+    links = assemble_links(instruments)
+    if not any(instrument.meshes for instrument in instruments):
+        raise ValueError("the instruments have no meshes, so that there is nothing to see")
     vertices: list[FloatArray] = []
     planes: list[FloatArray] = []
     faces: list[Indices] = []
@@ -158,7 +174,7 @@ def assemble(instruments: Sequence[Instrument]) -> tuple[Links, Bodies, Mesh]:
         edge_facet0=_column(ends, 2), edge_facet1=_column(ends, 3),
         edge_link=np.repeat(bodies.link, np.diff(bodies.edge_start)).astype(np.uint32),
     )  # fmt: skip
-    return assemble_links(instruments), bodies, mesh
+    return links, bodies, mesh
 
 
 def _column(table: NDArray[Any], index: int) -> NDArray[Any]:

@@ -8,7 +8,7 @@ rules (see :mod:`surgbench.silhouette.kernel`): the inverse of the depth is line
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -18,15 +18,8 @@ from surgbench.camera import NEAR_M, Camera
 from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument
 from surgbench.silhouette.evaluator import SilhouetteEvaluator
+from surgbench.silhouette.layout import lens
 from surgbench.state import STATE_SIZE, split_arms
-
-
-class _Lens(NamedTuple):
-    fx: float
-    fy: float
-    cx: float
-    cy: float
-    near: float
 
 
 class _Arm:
@@ -63,9 +56,11 @@ class VisibilityEvaluator:
     """
 
     def __init__(self, instruments: Sequence[Instrument], camera: Camera, near_m: float = NEAR_M) -> None:
+        if not instruments:
+            raise ValueError("at least one instrument is needed, one per arm")
         self.camera = camera
         self._arms = [_Arm(instrument, camera, near_m) for instrument in instruments]
-        self._lens = _Lens(camera.fx, camera.fy, camera.cx, camera.cy, near_m)
+        self._lens = lens(camera, near_m)
 
     def silhouettes(self, state: ArrayLike) -> NDArray[np.bool_]:
         """Each arm's silhouette as if it were alone.
