@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from surgbench.bench.peers import PEERS
 from surgbench.bench.silhouettes import OURS, Comparison, Measured
+from surgbench.bench.workload import CANDIDATES
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -32,8 +33,8 @@ def print_comparison(comparison: Comparison, console: Console) -> None:
         padding=0,
         pad_edge=False,
     )
-    for heading in ("renderer", "threads", "µs a\ncandidate", "ratio", "differs\npx", "remark"):
-        is_text = heading in ("renderer", "remark")
+    for heading in ("renderer", "threads", "µs a\ncandidate", "ratio", "differs\npx", "version", "remark"):
+        is_text = heading in ("renderer", "version", "remark")
         sheet.add_column(Text(heading), justify="left" if is_text else "right", no_wrap=heading != "remark")
     for one in (*comparison.ours, *sorted(comparison.peers, key=lambda peer: peer.us)):
         is_ours = one.name == OURS
@@ -43,21 +44,25 @@ def print_comparison(comparison: Comparison, console: Console) -> None:
             f"{one.us:.1f}" if one.us < 100 else f"{one.us:.0f}",
             f"{one.us / first.us:.2f}" if is_ours else f"{one.us / first.us:.0f}",
             "" if is_ours else str(first.disagreement_px(one)),
+            one.version,
             _remark(one, comparison),
         ]
         sheet.add_row(*(Text(cell, style="bold" if is_ours else "") for cell in cells))
     console.print(sheet)
-    for entry in entries:
-        for line in _summary(entry):
-            console.print(Text(line), soft_wrap=True)
+    if len(comparison.workload.states) < CANDIDATES:
+        console.print(Text("few candidates and rounds: not to be quoted"), soft_wrap=True)
+    else:
+        for entry in entries:
+            for line in _summary(entry):
+                console.print(Text(line), soft_wrap=True)
     for name, reason in comparison.skipped.items():
         console.print(Text(f"skipped {name}: {reason}", style="yellow"), soft_wrap=True)
 
 
 def _remark(one: Measured, comparison: Comparison) -> str:
-    parts = [one.version]
+    parts = []
     if one.name == OURS:
-        parts.append(f"and {one.mask_us:.0f} µs a mask")
+        parts.append(f"{one.mask_us:.0f} µs more a mask")
     elif not PEERS[one.name].exact:
         parts.append("not exact")
     if one.remark:
