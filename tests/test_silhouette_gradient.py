@@ -185,13 +185,8 @@ STATES = {
 }
 
 
-@pytest.mark.parametrize("name", STATES)
-def test_the_gradient_averaged_over_steps_is_the_difference(name: str) -> None:
+def assert_averages_are_differences(evaluator: SilhouetteEvaluator, state: FloatArray, scale: FloatArray) -> None:
     """By the fundamental theorem of calculus, kinks or not; over many states, so that their sampling averages out."""
-    state = STATES[name]
-    arms = len(state) // 9
-    scale = np.tile(STATE_SCALE, arms)
-    evaluator = SilhouetteEvaluator([LND] * arms, HALF)
     rng = np.random.default_rng(5)
     reference = Reference(evaluator.mask(state + 3 * rng.choice([-1, 1], len(state)) * scale))
     counts = FinerCounts(evaluator, reference.mask, 8)
@@ -203,6 +198,31 @@ def test_the_gradient_averaged_over_steps_is_the_difference(name: str) -> None:
     assert np.linalg.norm(found[0] - expected[0]) < 0.025 * np.linalg.norm(expected[0])
     ours, truth = found[0] - 2 * found[1], expected[0] - 2 * expected[1]  # eq. (6)
     assert np.linalg.norm(ours - truth) < 0.01 * np.linalg.norm(truth)
+
+
+@pytest.mark.parametrize("name", STATES)
+def test_the_gradient_averaged_over_steps_is_the_difference(name: str) -> None:
+    arms = len(STATES[name]) // 9
+    assert_averages_are_differences(SilhouetteEvaluator([LND] * arms, HALF), STATES[name], np.tile(STATE_SCALE, arms))
+
+
+@pytest.mark.parametrize("near_end", [-0.02, 0.0, 0.0005])
+def test_visible_edges_that_the_near_plane_cuts(near_end: float) -> None:
+    """A rod beside the camera, in one piece: its outline runs out of the image and through the camera plane."""
+    evaluator = evaluator_of(trimesh.creation.cylinder(0.005, 0.2, sections=7), HALF)
+    # Along (0.6, -0.3, 0.74); its near end at that depth, its far end in the image.
+    axis = np.array([0.6, -0.3, 0.74]) / np.linalg.norm([0.6, -0.3, 0.74])
+    end = np.array([-0.06, 0.03, near_end])
+    alpha, gamma = -np.arcsin(axis[1]), np.arctan2(axis[0], axis[2])
+    state = np.array([alpha, 0.3, gamma, *(end + 0.1 * axis), 0, 0, 0])
+    mesh = evaluator.instruments[0].meshes["body"].vertices_m @ look_at_rotation(state[ANGLES]).T + state[POSITION]
+    assert mesh[:, 2].min() < NEAR_M < mesh[:, 2].max()
+    scale = np.where(np.arange(9) < 6, STATE_SCALE, 1.0)
+    assert_averages_are_differences(evaluator, state, scale)
+    points = evaluator.contour_points(state, spacing_px=1)
+    summed = points.lengths_px @ points.jacobian * scale
+    gradient = evaluator.gradient(state[None], Reference(np.ones((246, 350), bool))).area[0] * scale
+    assert np.linalg.norm(summed - gradient) < 0.05 * np.linalg.norm(gradient)
 
 
 @pytest.mark.parametrize("name", STATES)
