@@ -6,6 +6,8 @@ import copy
 import multiprocessing
 import os
 import pickle
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
@@ -442,6 +444,37 @@ def test_evaluators_in_a_thread_pool_do_not_disturb_each_other(small_camera: Cam
     with ThreadPoolExecutor(4) as pool:
         scores = pool.map(lambda evaluator: [evaluator.score(states, reference) for _ in range(5)], evaluators)
         assert all(np.array_equal(score.overlap, expected.overlap) for five in scores for score in five)
+
+
+SHARED = """
+from concurrent.futures import ThreadPoolExecutor
+import numpy as np
+from surgbench.camera import Camera
+from surgbench.instrument import load_instrument
+from surgbench.silhouette import Reference, SilhouetteEvaluator
+
+camera = Camera(width=88, height=62, fx=113.2, fy=113.1, cx=36.3, cy=29.4)
+evaluator = SilhouetteEvaluator([load_instrument("large_needle_driver")], camera)
+first = np.array([0.3, 0.4, 0.8, 0.0, 0.0, 0.13, 0.3, -0.2, 0.3])
+states = first + np.random.default_rng(0).normal(0, 0.02, (100, 9))
+reference = Reference(evaluator.mask(first))
+
+def everything(_):
+    points = evaluator.contour_points(states[1])
+    gradient = evaluator.gradient(states, reference)
+    return [*evaluator.score(states, reference), *gradient, *points, evaluator.mask(states[2])]
+
+alone = everything(0)
+with ThreadPoolExecutor(2) as pool:
+    for shared in pool.map(everything, range(100)):
+        assert all(np.array_equal(a, b) for a, b in zip(alone, shared))
+"""
+
+
+def test_threads_may_share_an_evaluator() -> None:
+    """In a process of its own: two threads in the same scratch would write beyond its end."""
+    done = subprocess.run([sys.executable, "-c", SHARED], capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 0, done.stderr[-500:]
 
 
 @pytest.mark.skipif("fork" not in multiprocessing.get_all_start_methods(), reason="no fork on this system")

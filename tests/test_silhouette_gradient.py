@@ -58,6 +58,16 @@ def test_a_sphere_shrinks_as_it_goes_away() -> None:
     assert np.abs(others).max() < 2e-3 * abs(expected) * STATE_SCALE[5]
 
 
+def test_edges_shorter_than_a_pixel_count_too() -> None:
+    """A small sphere of many triangles: most of its outline's edges cross neither a row nor a column."""
+    radius, depth = 0.004, 0.2
+    evaluator = evaluator_of(trimesh.creation.icosphere(5, radius))
+    states = np.array([state_at(x, y, depth) for x in (0, 0.0001, 0.0003) for y in (0, 0.0002, 0.00023)])
+    gradient = evaluator.gradient(states, EVERYWHERE).area
+    expected = -2 * np.pi * SQUARE.fx**2 * radius**2 * depth / (depth**2 - radius**2) ** 2
+    assert gradient[:, 5] == pytest.approx(expected, rel=0.01)
+
+
 def test_a_box_shrinks_as_it_goes_away() -> None:
     """Straight before the camera its front face is all that is seen."""
     evaluator = evaluator_of(trimesh.creation.box((0.04, 0.03, 0.02)))

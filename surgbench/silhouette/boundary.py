@@ -30,6 +30,9 @@ STEEP = 1.0
 # An edge of exactly that slope is sampled by rows alone.
 FLAT = float(np.nextafter(1.0 / STEEP, 0.0))
 
+# So many edges in a row that cross no line are found by following the contour.
+SHORT_CHAIN = 4
+
 # Spans nearer to each other than this touch, but for rounding.
 TOUCHING_PX = 1e-9
 
@@ -267,17 +270,21 @@ def _mend_ends(mesh_edges: int, mesh: Any, lens: Any, contour: Any, mask: Any, b
             if _within(u, v, lens):
                 visible[vertex] = True
                 _add_end(n, missing, a, u, v, mask, boundary)
-    for n in range(mesh_edges):
-        u0, v0, u1, v1 = contour.u0[n], contour.v0[n], contour.u1[n], contour.v1[n]
-        steep = abs(u1 - u0) <= STEEP * abs(v1 - v0)
-        rows = boundary.rows if steep else boundary.columns
-        if rows.first[n] < rows.last[n]:
-            continue
-        i, j = edge_ends(n, mesh, contour)
-        u, v = (u0 + u1) / 2, (v0 + v1) / 2
-        if (visible[i] or visible[j]) and _within(u, v, lens):
-            visible[i] = visible[j] = True
-            _add_end(n, abs(v1 - v0) if steep else abs(u1 - u0), v if steep else u, u, v, mask, boundary)
+    for _ in range(SHORT_CHAIN):
+        added = False
+        for n in range(mesh_edges):
+            u0, v0, u1, v1 = contour.u0[n], contour.v0[n], contour.u1[n], contour.v1[n]
+            steep = abs(u1 - u0) <= STEEP * abs(v1 - v0)
+            rows = boundary.rows if steep else boundary.columns
+            if rows.first[n] < rows.last[n] or boundary.length[n] != 0.0:
+                continue
+            i, j = edge_ends(n, mesh, contour)
+            u, v = (u0 + u1) / 2, (v0 + v1) / 2
+            if (visible[i] or visible[j]) and _within(u, v, lens):
+                added = visible[i] = visible[j] = True
+                _add_end(n, abs(v1 - v0) if steep else abs(u1 - u0), v if steep else u, u, v, mask, boundary)
+        if not added:
+            break
 
 
 @compiled
