@@ -57,7 +57,9 @@ class Observation:
         start: ``(9 * arms,)`` where this frame's search begins: the filtered state, joints within limits,
             replaced by the readings where there are any.
         joints: Joint readings, ``(3,)`` or ``(2, 3)``, clipped to the search limits; ``None`` without readings.
-        kinematics: ``(4, 4)`` the robot's own reading of its tool pose where the dataset has one.
+        kinematics: ``(arms, 4, 4)`` T_base_tool: the robot's own reading of where each arm's wrist-pitch frame is in
+            the frame of its base (:attr:`Scene.T_cam_base`), cable stretch and drift included; ``None`` where the
+            dataset has none, or without readings.
     """
 
     index: int
@@ -85,6 +87,8 @@ class Scene:
         arms: 1 or 2.
         speed: ``"nominal"`` or ``"fast"``: how fast the instruments move, where the recording's author knows.
         device: Where candidates may be scored: ``"cpu"``, or ``"cuda"`` where the user asks for it.
+        T_cam_base: ``(arms, 4, 4)`` nominal place of each arm's base frame in the reference camera, as a hand-eye
+            calibration gives it; ``None`` where the dataset has no kinematics.
     """
 
     instruments: tuple[Instrument, ...]
@@ -94,6 +98,7 @@ class Scene:
     arms: int
     speed: str = "nominal"
     device: str = "cpu"
+    T_cam_base: FloatArray | None = None
 
     @property
     def joint_limits(self) -> JointLimits:
