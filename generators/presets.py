@@ -34,6 +34,11 @@ class WaypointInterval(Section):
 class MaxStep(Section):
     """The most that changes from one waypoint to the next.
 
+    The paper's waypoints are every 50th pose of tracked SurgPose recordings. The defaults are how far the motions that
+    SurgPose commands (its ``trajectory_generator.m``) go in that time, in the root mean square: roll 0.4 rad and wrist
+    pitch 0.3 rad with a period of 100 frames, wrist yaw 0.6 rad and jaw 0.3 rad (half of that is q3) with one of 200,
+    positions on a spline through a box of 40 x 30 x 10 mm, which tilts a shaft of 0.2 m by 0.1 rad.
+
     Attributes:
         position_m: Length of the wrist's way.
         tilt_rad: Each of alpha and gamma.
@@ -42,11 +47,11 @@ class MaxStep(Section):
         jaw_rad: q3.
     """
 
-    position_m: Positive = 0.03
-    tilt_rad: Positive = 0.35
-    roll_rad: Positive = 0.8
-    wrist_rad: Positive = 0.6
-    jaw_rad: Positive = 0.35
+    position_m: Positive = 0.02
+    tilt_rad: Positive = 0.12
+    roll_rad: Positive = 0.57
+    wrist_rad: Positive = 0.5
+    jaw_rad: Positive = 0.15
 
 
 class Motion(Section):

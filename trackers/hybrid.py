@@ -9,6 +9,7 @@ a few generations of CMA-ES, refined, and followed beside it as hypotheses of th
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass, replace
 from typing import Annotated, ClassVar
 
@@ -37,6 +38,7 @@ FOUND = np.array([0.01, 0.05, 0.03, 5e-4, 5e-4, 1e-3, 0.05, 0.05, 0.05])
 DRAWN = np.array([0.1, 1.0, 0.2, 5e-3, 5e-3, 2e-2, 1.0, 1.0, 1.0])
 FAR_IOU = 0.5  # with less overlap the instrument may be somewhere else altogether
 EXPLAINED_PX = 2
+BEST_UNEXPLAINED = 0.02  # what masks leave unexplained of a right state
 SAME = 1.0  # jump cost within which two hypotheses are one
 
 
@@ -47,15 +49,16 @@ class Hypothesis:
     Attributes:
         belief: What it says of the frame to come.
         state: Its last estimate.
-        cost: How badly it explained the last frames.
+        cost: How badly it explained the last frames, the latest most.
+        iou: Overlap of its silhouette with the mask.
+        explained: Share of its contour that has an edge in the mask.
+        explained_mask: Share of the mask's edge that has a contour.
     """
 
     belief: MotionBelief
     state: FloatArray
     cost: float
-    loss: float = np.inf
     iou: float = 0.0
-    offset_px: float = 0.0
     explained: float = 1.0
     explained_mask: float = 1.0
 
@@ -79,7 +82,7 @@ class HybridTracker(InstrumentTracker):
         reading_noise_rad: Annotated[Positive, Field(description="what they are wrong by in one frame")] = 0.003
         explained: Annotated[float, Field(ge=0, le=1, description="share of edges below which it searches")] = 0.9
         samples: Annotated[int, Field(ge=0, description="states drawn in a search; 0: never search")] = 96
-        generations: Annotated[int, Field(ge=0, description="of CMA-ES in a search")] = 0
+        generations: Annotated[int, Field(ge=0, description="of CMA-ES in a search")] = 3
         population: Annotated[int, Field(ge=4, description="samples of such a generation")] = 70
         refined: Annotated[int, Field(ge=1, description="best samples of a search that are refined")] = 8
         hypotheses: Annotated[int, Field(ge=1, description="followed at a time")] = 3
@@ -107,19 +110,9 @@ class HybridTracker(InstrumentTracker):
         self._drawn = np.diag((self._scale / np.tile(DRAWN, scene.arms)) ** 2)
         self._pause = 0
         self._begun = False
-        belief = self._new_belief()
-        belief.restart(state, self._found)
-        belief.forget_biases()
-        self._hypotheses = [Hypothesis(belief, np.array(state), 0.0)]
-
-    @property
-    def _found(self) -> FloatArray:
-        return np.tile(FOUND, self._scene.arms)
-
-    def _new_belief(self) -> MotionBelief:
-        scene, config = self._scene, self.config
+        self._found: FloatArray = np.tile(FOUND, scene.arms)
         faster = config.acceleration * (config.fast_acceleration if scene.speed == "fast" else 1.0)
-        return MotionBelief(
+        belief = MotionBelief(
             self._scale,
             scene.dt_s,
             np.tile(ACCELERATION * faster, scene.arms),
@@ -127,6 +120,8 @@ class HybridTracker(InstrumentTracker):
             config.reading_bias_rad,
             config.reading_drift_rad,
         )
+        belief.restart(state, self._found)
+        self._hypotheses = [Hypothesis(belief, np.array(state), 0.0)]
 
     def step(self, observation: Observation) -> Estimate:
         """Follow every hypothesis; search where the best leaves edges unexplained; report the best."""
@@ -169,15 +164,15 @@ class HybridTracker(InstrumentTracker):
         hypothesis.cost = config.memory * hypothesis.cost + self._frame_cost(hypothesis)
 
     def _take(self, hypothesis: Hypothesis, fit: Fit, observation: Observation) -> None:
-        losses, overlaps = self._objective(fit.state[None])
-        hypothesis.state = fit.state
-        hypothesis.loss, hypothesis.iou = float(losses[0]), float(overlaps[0])
-        hypothesis.offset_px, hypothesis.explained = fit.offset_px, fit.explained
-        hypothesis.explained_mask = explained_edge(observation.mask, self._evaluator.mask(fit.state), EXPLAINED_PX)
+        silhouette = self._evaluator.mask(fit.state)
+        hypothesis.state, hypothesis.explained = fit.state, fit.explained
+        hypothesis.explained_mask = explained_edge(observation.mask, silhouette, EXPLAINED_PX)
+        hypothesis.iou = float(self._objective.mismatch(fit.state[None])[1][0])
 
     def _frame_cost(self, hypothesis: Hypothesis) -> float:
+        # A mask that is a pixel too large costs every hypothesis the same area, but leaves no edge unexplained.
         unexplained = 1.0 - (hypothesis.explained + hypothesis.explained_mask) / 2.0
-        return self.config.trust * float(np.log(unexplained + 0.02))
+        return self.config.trust * float(np.log(unexplained + BEST_UNEXPLAINED))
 
     def _search(self, best: Hypothesis, last: FloatArray, observation: Observation) -> bool:
         """Draw, score and refine other states; the best of them becomes a hypothesis. Returns whether one did."""
@@ -214,9 +209,8 @@ class HybridTracker(InstrumentTracker):
             jump_cost(found.state, other.state) < SAME for other in self._hypotheses
         ):
             return False
-        belief = self._new_belief()
+        belief = copy.deepcopy(best.belief)
         belief.restart(found.state, self._found)
-        belief.forget_biases()
         self._hypotheses.append(replace(found, belief=belief))
         return True
 

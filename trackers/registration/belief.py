@@ -12,8 +12,6 @@ import numpy as np
 from surgbench.geometry import FloatArray, wrap_angle
 from surgbench.state import JOINTS, POSITION, STATE_SIZE
 
-JOINT_COUNT = 3
-
 
 class MotionBelief:
     """Gaussian over values, velocities and the readings' biases, in the state's natural steps.
@@ -42,7 +40,6 @@ class MotionBelief:
         joints = np.arange(n).reshape(-1, STATE_SIZE)[:, JOINTS].ravel()
         self._joints = joints
         self._biases = 2 * n + np.arange(len(joints))
-        self._bias_variance = (bias_rad / scale[joints]) ** 2
         size = 2 * n + len(joints)
         self._transition = np.eye(size)
         self._transition[:n, n : 2 * n] = dt_s * np.eye(n)
@@ -54,24 +51,17 @@ class MotionBelief:
         is_angle = np.ones(STATE_SIZE, dtype=bool)
         is_angle[POSITION] = False
         self._is_angle = np.resize(is_angle, n)
-        self._mean = np.zeros(size)
-        self._covariance = np.eye(size)
+        self._mean: FloatArray = np.zeros(size)
+        self._covariance: FloatArray = np.eye(size)
+        self._covariance[self._biases, self._biases] = (bias_rad / scale[joints]) ** 2
 
     def restart(self, state: FloatArray, spread: FloatArray) -> None:
         """Begin again at rest at ``state``, known to ``spread`` (both ``(n,)``); the readings' biases stay."""
         n = len(self._scale)
-        biases = self._covariance[self._biases[:, None], self._biases].copy()
         self._mean[: 2 * n] = np.concatenate([state / self._scale, np.zeros(n)])
-        self._covariance = np.diag(
-            np.concatenate([(spread / self._scale) ** 2, self._velocity_variance, self._bias_variance])
-        )
-        self._covariance[self._biases[:, None], self._biases] = biases
-
-    def forget_biases(self) -> None:
-        """Readings' biases back to what is known of them at the beginning."""
-        self._mean[self._biases] = 0.0
-        self._covariance[self._biases, :] = self._covariance[:, self._biases] = 0.0
-        self._covariance[self._biases, self._biases] = self._bias_variance
+        self._covariance[: 2 * n, :] = self._covariance[:, : 2 * n] = 0.0
+        variance = np.concatenate([(spread / self._scale) ** 2, self._velocity_variance])
+        self._covariance[: 2 * n, : 2 * n] = np.diag(variance)
 
     @property
     def state(self) -> FloatArray:
