@@ -129,9 +129,9 @@ def test_nothing_to_see_leaves_the_prior(camera: Camera) -> None:
 
 
 def linear_update(
-    mean: FloatArray, covariance: FloatArray, H: FloatArray, z: FloatArray, R: FloatArray
+    mean: FloatArray, covariance: FloatArray, H: FloatArray, z: FloatArray, noise: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    gain = covariance @ H.T @ np.linalg.inv(H @ covariance @ H.T + R)
+    gain = covariance @ H.T @ np.linalg.inv(H @ covariance @ H.T + noise)
     return mean + gain @ (z - H @ mean), covariance - gain @ H @ covariance
 
 
@@ -150,7 +150,9 @@ def test_the_belief_is_a_kalman_filter() -> None:
         information = root @ root.T
         z = mean[:n] + rng.normal(0, 0.1, n)
         H = np.eye(n, len(mean))
-        expected, spread = linear_update(mean, covariance, H, z, np.linalg.inv(information))
+        expected, spread = linear_update(
+            mean, covariance, H, z, np.asarray(np.linalg.inv(information), dtype=np.float64)
+        )
         belief.update(expected[:n] * STATE_SCALE, information)
         np.testing.assert_allclose(belief._mean, expected, atol=1e-8)
         np.testing.assert_allclose(belief._covariance, spread, atol=1e-8)
