@@ -239,11 +239,8 @@ def motion(frames: int) -> FloatArray:
     """An instrument that turns, bends and opens, smoothly."""
     t = np.arange(frames)[:, None] / 30
     swing = np.array([0.03, 0.4, 0.03, 0.004, 0.004, 0.006, 0.3, 0.3, 0.15])
-    return (
-        resting_state()
-        + swing * np.sin(2 * np.pi * 0.5 * t + np.arange(STATE_SIZE))
-        - swing * np.sin(np.arange(STATE_SIZE))
-    )
+    phase = np.arange(STATE_SIZE)
+    return np.asarray(resting_state() + swing * (np.sin(np.pi * t + phase) - np.sin(phase)), dtype=np.float64)
 
 
 def follow(
