@@ -18,7 +18,7 @@ from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument
 from surgbench.report.records import RECORD_FORMAT, SKIPPED
 from surgbench.silhouette import Reference, SilhouetteEvaluator
-from surgbench.state import STATE_SIZE
+from surgbench.state import POSITION, STATE_SIZE
 from surgbench.suite.child import Child, ChildProblemError
 from surgbench.suite.plan import Job, Plug, Readings, Settings
 from surgbench.suite.worker import Answer, Setup
@@ -253,7 +253,9 @@ def _errors(
 ) -> dict[str, list[Any] | None]:
     """Errors of all frames; ``None`` where there is no truth to hold them against."""
     errors: dict[str, list[Any] | None] = {name: None for name in metrics.POSE_ERRORS}
-    states = np.array([answer.state for answer in answers]).reshape(len(answers), len(data.unit.arms), STATE_SIZE)
+    shape = (len(answers), len(data.unit.arms), STATE_SIZE)
+    states = np.array([answer.state for answer in answers]).reshape(shape)
+    starts = np.array([answer.start for answer in answers]).reshape(shape)
     if data.truth is not None:
         per_arm = [
             metrics.pose_errors(instrument, data.camera, states[:, arm], data.truth[: len(answers), arm])
@@ -264,8 +266,19 @@ def _errors(
     errors["mask_error"] = [observed for observed, _ in mask_errors]
     errors["mask_error_true"] = None if data.truth is None else [clean for _, clean in mask_errors]
     tips = [instrument.tips_cam(states[:, arm]) for arm, instrument in enumerate(data.instruments)]
+    errors["lag_ms"] = _lags(states, data)
+    errors["start_lag_ms"] = _lags(starts, data)
     errors["jitter"] = _finite(np.array([metrics.jitter(arm, data.sequence.dt_s) for arm in tips]))
     return errors
+
+
+def _lags(states: FloatArray, data: UnitData) -> list[Any] | None:
+    """Of each arm, milliseconds that the wrist of ``(T, arms, 9)`` states trails behind."""
+    if data.truth is None:
+        return None
+    places, true_places = states[..., POSITION], data.truth[: len(states), :, POSITION]
+    lags = [metrics.lag(places[:, arm], true_places[:, arm], data.sequence.dt_s) for arm in range(states.shape[1])]
+    return _finite(1e3 * np.array(lags))
 
 
 def _finite(values: FloatArray) -> list[Any]:
