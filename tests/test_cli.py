@@ -20,6 +20,7 @@ COMMANDS = [
     ("video",),
     ("list",),
     ("bench", "silhouettes"),
+    ("check", "tracker"),
 ]
 
 
