@@ -12,6 +12,7 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 from scipy.signal import butter, lfilter, sosfiltfilt
 
+from surgbench.arm import ARM_JOINTS, Manipulator
 from surgbench.dataset.format import ARMS
 from surgbench.errors import ConfigError
 from surgbench.generators.coordinates import TOOL_JOINTS, ArmJoints, Coordinates, FreePose, set_up_arm
@@ -48,12 +49,14 @@ class ArmMotion:
     """How a robot arm moves.
 
     Attributes:
-        coordinates: Its kinematics and the true place of its base.
-        joints: ``(frames, 7)`` yaw, pitch, insertion, roll, then q1, q2, q3.
+        arm: Its kinematics.
+        T_cam_base: ``(4, 4)`` where its base truly is.
+        arm_joints: ``(frames, 4)`` yaw, pitch, insertion, roll.
     """
 
-    coordinates: ArmJoints
-    joints: FloatArray
+    arm: Manipulator
+    T_cam_base: FloatArray
+    arm_joints: FloatArray
 
 
 def make_pair(preset: Preset, instrument: Instrument, speed: str, frames: int, rng: np.random.Generator) -> FloatArray:
@@ -112,7 +115,9 @@ def _coordinates(place: Place, preset: Preset, rng: np.random.Generator) -> Free
 
 
 def _moved(coordinates: FreePose | ArmJoints, values: FloatArray) -> ArmMotion | None:
-    return ArmMotion(coordinates, values) if isinstance(coordinates, ArmJoints) else None
+    if not isinstance(coordinates, ArmJoints):
+        return None
+    return ArmMotion(coordinates.arm, coordinates.T_cam_base, values[:, :ARM_JOINTS])
 
 
 def _blend(share: FloatArray) -> FloatArray:
