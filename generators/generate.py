@@ -43,7 +43,7 @@ from surgbench.dataset.format import (
 )
 from surgbench.dataset.masks import PNG_END, Mask, encode_mask
 from surgbench.dataset.storage import describe_files, storage_error
-from surgbench.errors import ConfigError, DatasetError, SurgbenchError
+from surgbench.errors import ConfigError, DatasetError, SurgbenchError, unknown_name
 from surgbench.files import PARTIAL_SUFFIX, write_atomic
 from surgbench.generators.corruption import corrupt
 from surgbench.generators.observations import observe_joints, observe_keypoints
@@ -63,6 +63,19 @@ BLOCK_BYTES = 4096
 MASK_BYTES_PER_PIXEL = 0.01
 TABLE_BYTES_PER_FRAME = 400
 MANIFEST_BYTES_PER_FILE = 160
+
+
+@dataclass(frozen=True)
+class Part:
+    """Some sequences of a dataset, and of them the first frames: the same files as in the whole dataset.
+
+    Attributes:
+        sequences: Ids.
+        frames: At most so many of each; tables are cut likewise.
+    """
+
+    sequences: tuple[str, ...]
+    frames: int
 
 
 @dataclass(frozen=True)
@@ -117,10 +130,15 @@ class Chunk:
     states: FloatArray
 
 
-def plan_dataset(preset: Preset) -> Plan:
+def plan_dataset(preset: Preset, part: Part | None = None) -> Plan:
     """Work out what a preset makes, without making it.
 
+    Args:
+        preset: The whole dataset.
+        part: What is to be made of it; ``None``: all.
+
     Raises:
+        ConfigError: The part names a sequence that the preset has not.
         SurgbenchError: The preset's instrument is unknown or its file is wrong.
     """
     instrument = load_instrument(preset.instrument)
@@ -142,6 +160,8 @@ def plan_dataset(preset: Preset) -> Plan:
         )
         for index in range(preset.pairs)
     )
+    if part is not None:
+        sequences = _of_part(sequences, part)
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
         written = sorted(save_instrument(instrument, folder))
@@ -154,7 +174,21 @@ def plan_dataset(preset: Preset) -> Plan:
         "preset": {**preset.model_dump(mode="json"), "instrument": instrument.name},
         "instrument_sha256": {path: hashlib.sha256(data).hexdigest() for path, data in files.items()},
     }
+    if part is not None:
+        marker["part"] = {"sequences": [entry.id for entry in sequences], "frames": part.frames}
     return Plan(preset, instrument, sequences, marker, files)
+
+
+def _of_part(sequences: tuple[SequenceEntry, ...], part: Part) -> tuple[SequenceEntry, ...]:
+    ids = [entry.id for entry in sequences]
+    for wanted in part.sequences:
+        if wanted not in ids:
+            raise ConfigError(unknown_name("sequence", wanted, ids))
+    return tuple(
+        entry.model_copy(update={"frames": min(part.frames, entry.frames)})
+        for entry in sequences
+        if entry.id in part.sequences
+    )
 
 
 def generate(
@@ -377,10 +411,11 @@ def _write_tables(plan: Plan, out: Path, entry: SequenceEntry) -> FloatArray:
     """Write a sequence's observations and states; returns ``(frames, 2, 9)``."""
     preset, instrument = plan.preset, plan.instrument
     axes: dict[str, str | int] = {"dataset": preset.seed, "sequence": entry.id}
+    # Of the whole sequence, also where a part of it is made: what moves or errs slowly depends on its length.
     states: FloatArray = make_pair(
-        preset, instrument, entry.speed, entry.frames, generator(**axes, purpose="trajectory")
+        preset, instrument, entry.speed, preset.frames, generator(**axes, purpose="trajectory")
     )
-    observed: dict[str, FloatArray] = {tables.TIMESTAMP: np.arange(entry.frames, dtype=np.float64) * entry.dt_s}
+    observed: dict[str, FloatArray] = {tables.TIMESTAMP: np.arange(preset.frames, dtype=np.float64) * entry.dt_s}
     truth: dict[str, FloatArray] = {}
     for index, arm in enumerate(entry.arms):
         own = states[:, index]
@@ -391,9 +426,13 @@ def _write_tables(plan: Plan, out: Path, entry: SequenceEntry) -> FloatArray:
         observed |= _columns(arm, tables.KEYPOINT_COLUMNS, points.reshape(-1, 4))
         observed |= _columns(arm, tables.READING_COLUMNS, readings)
         truth |= _columns(arm, tables.STATE_COLUMNS, own)
-    write_atomic(out / observations_path(entry.id), tables.encode_table(observed))
-    write_atomic(out / states_path(entry.id), tables.encode_table(truth))
-    return states
+    write_atomic(out / observations_path(entry.id), tables.encode_table(_first(observed, entry.frames)))
+    write_atomic(out / states_path(entry.id), tables.encode_table(_first(truth, entry.frames)))
+    return states[: entry.frames]
+
+
+def _first(columns: dict[str, FloatArray], frames: int) -> dict[str, FloatArray]:
+    return {name: values[:frames] for name, values in columns.items()}
 
 
 def _columns(arm: Arm, names: tuple[str, ...], values: FloatArray) -> dict[str, FloatArray]:
