@@ -139,3 +139,34 @@ class Spins(Still):
     def step(self, observation: Any) -> Any:
         while True:
             pass
+
+
+class NotHere(Still):
+    """Lacks something on every machine."""
+
+    name = "not-here"
+
+    @classmethod
+    def unavailable(cls) -> str | None:
+        return "needs a left-handed\ncompiler"
+
+
+class CannotTell(Still):
+    name = "cannot-tell"
+
+    @classmethod
+    def unavailable(cls) -> str | None:
+        raise OSError("no such driver")
+
+
+class ForgetfulOracle:
+    """A filter that asks for the truth and has no way to take it."""
+
+    name = "forgetful"
+    needs_truth = True
+
+    def reset(self, scene: Any, state: Any) -> None: ...
+
+    def predict(self) -> Any: ...
+
+    def update(self, estimate: Any) -> Any: ...

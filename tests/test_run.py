@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import subprocess
@@ -13,8 +12,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from commandline import records, surgbench
 
-from surgbench.cli import main
 from surgbench.dataset import Dataset
 from surgbench.generators.generate import generate, plan_dataset
 from surgbench.generators.presets import load_preset
@@ -29,22 +28,6 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("data") / "mini"
     generate(plan_dataset(load_preset("mini", frames=FRAMES)), folder)
     return folder
-
-
-def surgbench(*arguments: object, expect: int = 0) -> None:
-    """The command as a user types it, in this process."""
-    before = sys.argv
-    sys.argv = ["surgbench", *map(str, arguments)]
-    try:
-        with pytest.raises(SystemExit) as ended:
-            main()
-    finally:
-        sys.argv = before
-    assert ended.value.code == expect
-
-
-def records(folder: Path) -> list[dict[str, Any]]:
-    return [json.loads(path.read_text()) for path in sorted(folder.rglob("*-r*.json"))]
 
 
 TIMES_AND_MACHINE = ("latency", "initialise_s", "environment")

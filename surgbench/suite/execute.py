@@ -16,7 +16,7 @@ from surgbench.dataset.masks import read_image
 from surgbench.dataset.reader import Dataset, Sequence, Unit
 from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument
-from surgbench.report.records import RECORD_FORMAT
+from surgbench.report.records import RECORD_FORMAT, SKIPPED
 from surgbench.silhouette import Reference, SilhouetteEvaluator
 from surgbench.state import STATE_SIZE
 from surgbench.suite.child import Child, ChildProblemError
@@ -118,6 +118,43 @@ def child_setup(job: Job, scene: Scene) -> Setup:
     )
 
 
+def true_states(job: Job, data: UnitData) -> FloatArray | None:
+    """What a filter with ``needs_truth`` is given, ``(T, 9 * arms)``; ``None`` for any other."""
+    if data.truth is None or not job.settings.filter.needs_truth:
+        return None
+    return data.truth.reshape(data.frames, -1)
+
+
+def skipped(job: Job, dataset: Dataset, environment: dict[str, Any], reason: str) -> dict[str, Any]:
+    """The record of a job that this machine cannot run, for ``reason``, one line."""
+    return {
+        **_head(job, dataset, environment),
+        "status": SKIPPED,
+        "error": reason,
+        "traceback": None,
+        "initialise_s": None,
+        "frames": _frames([]),
+        "errors": {},
+    }
+
+
+def _head(job: Job, dataset: Dataset, environment: dict[str, Any]) -> dict[str, Any]:
+    """What a record says of its job."""
+    return {
+        "format": RECORD_FORMAT,
+        "spec_hash": job.hash,
+        "settings_hash": job.settings.hash,
+        "variant": job.settings.variant,
+        "floor": job.settings.filter.needs_truth,
+        "spec": job.spec(),
+        "references": job.settings.references,
+        "environment": environment,
+        "dataset_path": str(dataset.path.resolve()),
+        "dataset_frames": job.dataset_frames,
+        "unit_frames": job.frames,
+    }
+
+
 def execute(
     job: Job,
     dataset: Dataset,
@@ -156,7 +193,7 @@ def execute(
             raise ChildProblemError("failed", "stopped before it began")
         child.send("setup", child_setup(job, data.scene()))
         child.receive()
-        for frame in range(data.frames):
+        for frame in range(job.frames):
             if stopping.is_set():
                 raise ChildProblemError("failed", "stopped")
             mask = data.sequence.mask(job.unit.kind, frame)
@@ -165,7 +202,7 @@ def execute(
                 truth = None
                 if data.truth is not None and job.settings.initialiser.needs_truth:
                     truth = data.truth[0].reshape(-1)
-                child.send("first", observation, truth)
+                child.send("first", observation, truth, true_states(job, data))
                 while (message := child.receive())[0] == "progress":
                     initialising(message[1])
                 initialising(1.0)
@@ -182,19 +219,11 @@ def execute(
         children.discard(child)
         child.stop()
     return {
-        "format": RECORD_FORMAT,
-        "spec_hash": job.hash,
-        "settings_hash": job.settings.hash,
-        "variant": job.settings.variant,
-        "spec": job.spec(),
-        "references": job.settings.references,
+        **_head(job, dataset, environment),
         "status": status,
         "error": error,
         "traceback": trace,
-        "environment": environment,
-        "dataset_path": str(dataset.path.resolve()),
         "initialise_s": initialise_s,
-        "unit_frames": data.frames,
         "frames": _frames(answers),
         "errors": _errors(data, answers, mask_errors),
     }

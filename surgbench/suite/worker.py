@@ -132,9 +132,18 @@ class Loop:
             check_state(state, self._size, f"initialiser '{setup.initialiser.name}'"), scene.joint_limits
         )
 
-    def begin(self, observation: Observation, state: FloatArray) -> None:
-        """Start at the first frame's state: warm up on a throw-away tracker, then reset everything."""
+    def begin(self, observation: Observation, state: FloatArray, truth: FloatArray | None = None) -> None:
+        """Start at the first frame's state: warm up on a throw-away tracker, then reset everything.
+
+        Args:
+            observation: The first frame.
+            state: Its state, ``(9 * arms,)``.
+            truth: ``(T, 9 * arms)``, only for a filter with ``needs_truth``; then it starts the first frame too.
+        """
         setup, scene = self._setup, self._scene
+        if truth is not None:
+            self._filter.give_truth(truth)
+            state = clip_joints(truth[0], scene.joint_limits)
         self._keypoints.reset(scene)
         observation = self._with_keypoints(observation)[0]
         # Compilation and caches belong to nobody's latency.
@@ -196,7 +205,8 @@ def end_with_parent(parent: int) -> None:
 def serve(connection: Connection) -> None:
     """Answer the parent's messages until it hangs up.
 
-    They are ``("setup", Setup)``, ``("first", observation, truth)`` and ``("step", observation)``.
+    They are ``("setup", Setup)``, ``("first", observation, truth of this frame for the initialiser, truth of all frames
+    for the filter)``, the two ``None`` unless the plug-in needs them, and ``("step", observation)``.
     """
     loop: Loop | None = None
     while True:
@@ -212,10 +222,12 @@ def serve(connection: Connection) -> None:
             assert loop is not None
             if kind == "first":
                 begin = time.perf_counter()
-                observation, truth = content
-                state = loop.initialise(observation, truth, lambda fraction: connection.send(("progress", fraction)))
+                observation, first_truth, truth = content
+                state = loop.initialise(
+                    observation, first_truth, lambda fraction: connection.send(("progress", fraction))
+                )
                 elapsed_s = time.perf_counter() - begin
-                loop.begin(observation, state)
+                loop.begin(observation, state, truth)
                 connection.send(("initialised", state, elapsed_s))
             else:
                 connection.send(("answer", loop.step(*content)))
