@@ -1,1 +1,1 @@
-"""Published tables made again: what they consist of, the work behind them, how they are written, how they are checked."""
+"""Published tables made again: what they consist of, the work behind them, their files, and how they are checked."""

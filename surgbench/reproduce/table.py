@@ -60,7 +60,7 @@ class TableRow(Row):
     label: str
     published: str | None = None
     floor: str | None = None
-    quick_options: dict[str, dict[str, Any]] = {}
+    quick_options: dict[str, dict[str, Any]] = Field(default={})
 
     @property
     def id(self) -> str:
