@@ -192,7 +192,7 @@ def _judge(chosen: Chosen, job: Job, record: dict[str, Any], dataset: Dataset, r
     committed, found = results.about["records"][chosen.key]["head"], head(record, chosen.frames)
     if committed["states_sha256"] == found["states_sha256"]:
         return Verdict(chosen, "identical", f"{found['frames']} states bit for bit")
-    beyond = _beyond_tolerance(committed, found)
+    beyond = beyond_tolerance(committed, found)
     notes = [f"frame {found['frames'] - 1} off by {largest_deviation(committed['last'], found['last']):.2g}"]
     notes += [f"mean {name} {now:.4g} instead of {then:.4g}" for name, then, now in beyond]
     if not _same_masks(chosen, job, dataset, results):
@@ -203,7 +203,8 @@ def _judge(chosen: Chosen, job: Job, record: dict[str, Any], dataset: Dataset, r
     return Verdict(chosen, "differs" if beyond else "close", "; ".join(notes))
 
 
-def _beyond_tolerance(committed: dict[str, Any], found: dict[str, Any]) -> list[tuple[str, float, float]]:
+def beyond_tolerance(committed: dict[str, Any], found: dict[str, Any]) -> list[tuple[str, float, float]]:
+    """Errors of the first frames that no rounding explains: name, mean then, mean now."""
     beyond = []
     independent = max(1.0, committed["frames"] / FRAMES_ALIKE)
     for name, (mean, std) in committed["errors"].items():

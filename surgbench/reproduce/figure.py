@@ -44,7 +44,7 @@ ERROR_PANELS = (
     ("mask error", "mask_error", 1.0),
 )
 # Around the truth, so that a row that is far off does not flatten all others.
-MARGIN, LEAST_SPAN = 0.6, 0.02
+MARGIN, LEAST_SPAN = 0.6, {1.0: 0.2, 1000.0: 20.0}
 
 
 @dataclass(frozen=True)
@@ -126,14 +126,14 @@ def _figure(dataset: Dataset, wanted: Picture, lines: list[Line]) -> Figure:
         panel: Axes = axes[place // 3, place % 3]
         for colour, line in zip(COLOURS, lines, strict=False):
             states = _near(line.record.frames.states[:, :STATE_SIZE], truth)
-            panel.plot(time[: len(states)], scale * states[:, component], color=colour, label=line.label, lw=1.3)
+            panel.plot(time[: len(states)], scale * states[:, component], color=colour, label=line.label, lw=1.1)
         panel.plot(time, scale * truth[:, component], color=TRUTH_COLOUR, label="ground truth", lw=1.6, ls=(0, (4, 2)))
         panel.set_ylim(*_range(scale * truth[:, component], scale))
         panel.set_ylabel(name)
     for panel, (name, error, scale) in zip(axes[3], ERROR_PANELS, strict=True):
         for colour, line in zip(COLOURS, lines, strict=False):
             values = line.record.errors[error].reshape(len(line.record.frames.state), -1)[:, 0]
-            panel.plot(time[: len(values)], scale * values, color=colour, lw=1.1)
+            panel.plot(time[: len(values)], scale * values, color=colour, lw=0.9)
         panel.set_yscale("log")
         panel.set_ylabel(name)
         panel.set_xlabel("time [s]")
@@ -167,5 +167,5 @@ def _near(states: FloatArray, truth: FloatArray) -> FloatArray:
 
 def _range(truth: FloatArray, scale: float) -> tuple[float, float]:
     low, high = float(truth.min()), float(truth.max())
-    margin = MARGIN * max(high - low, LEAST_SPAN * scale)
+    margin = MARGIN * max(high - low, LEAST_SPAN[scale])
     return low - margin, high + margin

@@ -35,7 +35,8 @@ def markdown(definition: Definition, results: Results) -> str:
         parts.append(f"![Ground truth and estimates over time]({FIGURE_PNG})")
     for block in table.blocks:
         rows = [row for row in results.rows if row["block"] == block.name]
-        parts += [f"## {block.heading}", block.note.strip(), _block_table(rows), *_failures(rows)]
+        about_data = _dataset(block, results.about["datasets"][block.dataset.folder])
+        parts += [f"## {block.heading}", block.note.strip(), about_data, _block_table(rows), *_failures(rows)]
         if compared[block.name]:
             parts += [f"### Beside {published.short}", _comparison_table(compared[block.name])]
         floors = _floor_table(block, results.rows)
@@ -67,8 +68,22 @@ def _times(about: dict[str, Any], source: str, machine: str) -> str:
     processors = sorted({environment["machine"]["processor"] for environment in timed})
     how = "one run at a time" if about["timing_environments"] else "beside other runs, if there were several jobs"
     return (
-        f"Times of {source} were measured on {machine}; ours on one core of {' and of '.join(processors)}, {how}. "
-        "They say what each method takes where it was measured, and compare as such."
+        f"The times of {source} were measured on {machine}, ours on one core of {' and of '.join(processors)}, {how}; "
+        "their ratio is of what a user waits for, not of the methods' arithmetic."
+    )
+
+
+def _dataset(block: Block, dataset: dict[str, Any]) -> str:
+    """What a reader needs to see whether a row is won by an easy dataset."""
+    speeds = [
+        f"{speed} sequences {1000 * values['translation_m']:.2f} mm, {values['rotation_rad']:.4f} rad and "
+        f"{values['joints_rad']:.4f} rad per joint from frame to frame (means), and the masks differ from the true "
+        f"ones by {values['mask_error']:.4f} (1 − IoU)"
+        for speed, values in dataset["difficulty"].items()
+    ]
+    return (
+        f"Dataset `{block.dataset.folder}`: {dataset['sequences']} pairs of arms, {dataset['frames']} frames, SHA-256 "
+        f"`{dataset['sha256'][:12]}…`. In {'; in '.join(speeds)}."
     )
 
 

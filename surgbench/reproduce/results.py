@@ -16,6 +16,7 @@ from surgbench.errors import DatasetError
 from surgbench.files import canonical_json
 from surgbench.report.records import Record, read_record
 from surgbench.report.rows import COMMON_COLUMNS, ERRORS, INSTRUMENT_COLUMNS, SETTING_COLUMNS, Row, derive_rows
+from surgbench.reproduce.difficulty import difficulty
 from surgbench.reproduce.fingerprint import head, record_sha256, sequence_head_sha256
 from surgbench.reproduce.table import Definition
 from surgbench.reproduce.work import RECORDS, TIMING, BlockWork
@@ -69,9 +70,12 @@ def derive(definition: Definition, blocks: Sequence[BlockWork], out: Path, quick
     datasets: dict[str, Any] = {}
     for work in blocks:
         folder = work.block.dataset.folder
-        datasets[folder] = {
+        datasets[folder] = datasets.get(folder) or {
             "name": work.dataset.name,
             "sha256": work.dataset.hash,
+            "sequences": len(work.dataset.sequences),
+            "frames": sum(sequence.frames for sequence in work.dataset.sequences),
+            "difficulty": difficulty(work.dataset),
             "first_masks_sha256": {
                 sequence.id: sequence_head_sha256(work.dataset, sequence.id, min(frames, sequence.frames))
                 for sequence in work.dataset.sequences

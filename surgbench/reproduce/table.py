@@ -84,6 +84,7 @@ class Block(_Part):
         heading: As it stands over the block.
         note: The protocol in words.
         dataset: What to generate.
+        quick_sequences: Ids of the dataset's sequences that a quick run makes.
         protocol: What all rows share.
         published_on: Which of the published rows' datasets the block stands for.
         rows: In the order they are shown.
@@ -93,6 +94,7 @@ class Block(_Part):
     heading: str
     note: str = ""
     dataset: DatasetRequest
+    quick_sequences: Annotated[tuple[str, ...], Field(min_length=1)]
     protocol: Protocol = Protocol()
     published_on: str | None = None
     rows: Annotated[tuple[TableRow, ...], Field(min_length=1)]
@@ -102,14 +104,12 @@ class Share(_Part):
     """What a quick run does.
 
     Attributes:
-        sequences: Ids of the dataset's sequences that are made.
+        runs: Arms or pairs a row is run on, spread over the block's ``quick_sequences``.
         frames: Of each, the first so many.
-        runs: Arms or pairs a row is run on, spread over them.
     """
 
-    sequences: Annotated[tuple[str, ...], Field(min_length=1)]
-    frames: Count
     runs: Count
+    frames: Count
 
 
 class Timing(_Part):

@@ -91,10 +91,10 @@ def do_work(
         SurgbenchError: Something cannot be written, or a dataset is at fault.
     """
     table = definition.table
-    part = PartRequest(table.quick.sequences, table.quick.frames) if quick else None
     probe_output(out)
     blocks = []
     for block in table.blocks:
+        part = PartRequest(block.quick_sequences, table.quick.frames) if quick else None
         watcher.say(f"{block.heading}: dataset {block.dataset.folder}")
         blocks.append(plan_block(table, block, provide(block.dataset, part, data, jobs, make), quick))
     failures: list[str] = []
