@@ -43,7 +43,7 @@ from surgbench.dataset.format import (
 )
 from surgbench.dataset.masks import PNG_END, Mask, encode_mask
 from surgbench.dataset.storage import describe_files, storage_error
-from surgbench.errors import ConfigError, DatasetError, SurgbenchError
+from surgbench.errors import ConfigError, DatasetError, SurgbenchError, unknown_name
 from surgbench.files import PARTIAL_SUFFIX, write_atomic
 from surgbench.generators.corruption import corrupt
 from surgbench.generators.lens import Lens
@@ -65,6 +65,19 @@ BLOCK_BYTES = 4096
 MASK_BYTES_PER_PIXEL = 0.01
 TABLE_BYTES_PER_FRAME = 500
 MANIFEST_BYTES_PER_FILE = 160
+
+
+@dataclass(frozen=True)
+class Part:
+    """Some sequences of a dataset, and of them the first frames: the same files as in the whole dataset.
+
+    Attributes:
+        sequences: Ids.
+        frames: At most so many of each; tables are cut likewise.
+    """
+
+    sequences: tuple[str, ...]
+    frames: int
 
 
 @dataclass(frozen=True)
@@ -123,10 +136,15 @@ class Chunk:
     states: FloatArray
 
 
-def plan_dataset(preset: Preset) -> Plan:
+def plan_dataset(preset: Preset, part: Part | None = None) -> Plan:
     """Work out what a preset makes, without making it.
 
+    Args:
+        preset: The whole dataset.
+        part: What is to be made of it; ``None``: all.
+
     Raises:
+        ConfigError: The part names a sequence that the preset has not.
         SurgbenchError: The preset's instrument is unknown or its file is wrong.
     """
     instrument = load_instrument(preset.instrument)
@@ -148,6 +166,8 @@ def plan_dataset(preset: Preset) -> Plan:
         )
         for index in range(preset.pairs)
     )
+    if part is not None:
+        sequences = _of_part(sequences, part)
     files = _instrument_files(instrument)
     marker: dict[str, Any] = {
         "format": FORMAT,
@@ -163,6 +183,8 @@ def plan_dataset(preset: Preset) -> Plan:
             "instrument": yaml.safe_load(rendered[f"{instrument_folder(real.name)}/{INSTRUMENT_FILE}"]),
             "instrument_sha256": _hashes(rendered),
         }
+    if part is not None:
+        marker["part"] = {"sequences": [entry.id for entry in sequences], "frames": part.frames}
     return Plan(preset, instrument, real, camera, sequences, marker, files)
 
 
@@ -176,6 +198,18 @@ def _instrument_files(instrument: Instrument) -> dict[str, bytes]:
 
 def _hashes(files: dict[str, bytes]) -> dict[str, str]:
     return {path: hashlib.sha256(data).hexdigest() for path, data in files.items()}
+
+
+def _of_part(sequences: tuple[SequenceEntry, ...], part: Part) -> tuple[SequenceEntry, ...]:
+    ids = [entry.id for entry in sequences]
+    for wanted in part.sequences:
+        if wanted not in ids:
+            raise ConfigError(unknown_name("sequence", wanted, ids))
+    return tuple(
+        entry.model_copy(update={"frames": min(part.frames, entry.frames)})
+        for entry in sequences
+        if entry.id in part.sequences
+    )
 
 
 def generate(

@@ -17,6 +17,7 @@ COMMANDS = [
     ("import", "masks"),
     ("run",),
     ("report",),
+    ("reproduce",),
     ("video",),
     ("list",),
     ("bench", "silhouettes"),
@@ -44,6 +45,7 @@ def test_version_is_the_packages() -> None:
         ("keypoints", "observed"),
         ("presets", "mini"),
         ("suites", "demo"),
+        ("tables", "table1"),
         ("instruments", "large_needle_driver"),
     ],
 )

@@ -18,6 +18,7 @@ from surgbench.cli.generate import generate
 from surgbench.cli.import_ import masks
 from surgbench.cli.list_ import list_names
 from surgbench.cli.report import report
+from surgbench.cli.reproduce import reproduce
 from surgbench.cli.run import run
 from surgbench.cli.validate import validate
 from surgbench.cli.video import video
@@ -62,6 +63,7 @@ app.add_typer(import_app, name="import")
 app.command("validate")(validate)
 app.command("run")(run)
 app.command("report")(report)
+app.command("reproduce")(reproduce)
 app.command("video")(video)
 app.command("list")(list_names)
 check_app.command("tracker")(tracker)

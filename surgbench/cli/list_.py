@@ -9,7 +9,7 @@ import typer
 
 def list_names(
     what: Annotated[
-        Literal["trackers", "initialisers", "filters", "keypoints", "presets", "suites", "instruments"],
+        Literal["trackers", "initialisers", "filters", "keypoints", "presets", "suites", "tables", "instruments"],
         typer.Argument(help="What to list."),
     ],
 ) -> None:

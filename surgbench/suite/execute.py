@@ -105,9 +105,10 @@ class UnitData:
 def child_setup(job: Job, scene: Scene) -> Setup:
     """What the child of a job is told before the first frame."""
     settings: Settings = job.settings
+    # The dataset's name and not its hash, so that a part of it is run with the same random numbers.
     axes: dict[str, str | int] = {
         "seed": settings.protocol.seed,
-        "dataset": job.dataset_sha256,
+        "dataset": job.dataset_name,
         "unit": job.unit.id,
         "repeat": job.repeat,
     }
