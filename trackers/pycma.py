@@ -33,9 +33,8 @@ class PycmaTracker(SamplingTracker):
         ] = 15
         mean_rate: Annotated[float, Field(gt=0, description="c_m of eq. 3 (CMA_cmean)")] = 2.0
         covariance_rate: Annotated[
-            float, Field(gt=0, description="factor on the package's c_mu for so many elites (CMA_rankmu)")
+            float, Field(gt=0, description="factor on the package's c_mu for such a population (CMA_rankmu)")
         ] = 4.0
-        active: Annotated[bool, Field(description="bad samples shrink the covariance (CMA_active)")] = False
 
     def __init__(self, config: Config | None = None) -> None:
         self.config = config or self.Config()
@@ -44,14 +43,12 @@ class PycmaTracker(SamplingTracker):
     def _prepare(self, arms: int, rng: np.random.Generator) -> None:
         config = self.config
         elites = min(config.elites, config.population // 2)
-        rates = package_settings(STATE_SIZE, 2 * elites)
         self._package_options = {
             "popsize": config.population,
             "CMA_mu": elites,
             "CMA_cmean": config.mean_rate,
-            # The package lets c_1 + c_mu exceed 1, and the covariance then has negative eigenvalues.
-            "CMA_rankmu": min(config.covariance_rate, (1 - rates.rank_one_rate) / rates.rank_mu_rate),
-            "CMA_active": config.active,
+            "CMA_rankmu": _rank_mu_factor(config.covariance_rate, config.population, elites),
+            "CMA_active": False,  # with a raised c_mu negative weights make negative eigenvalues
             "CMA_mirrors": 0,
             "seed": np.nan,  # anything else seeds NumPy's global generator
             "verbose": -9,
@@ -104,6 +101,18 @@ class _Normals:
             return self._waiting[arm].pop()
 
         return draw
+
+
+def _rank_mu_factor(covariance_rate: float, population: int, elites: int) -> float:
+    """What brings the package's c_mu for a number of elites to that of ``cmaes``.
+
+    The package derives its rates from the number of elites, ``cmaes`` from the population. It also lets c_1 + c_mu
+    exceed 1, which makes negative eigenvalues: at least a thousandth of the last covariance is kept.
+    """
+    wanted = covariance_rate * package_settings(STATE_SIZE, population).rank_mu_rate
+    given = package_settings(STATE_SIZE, 2 * elites)
+    rank_one_rate = 2 / ((STATE_SIZE + 1.3) ** 2 + given.effective)
+    return min(wanted, 0.999 * (1 - rank_one_rate)) / given.rank_mu_rate
 
 
 def _package() -> Any:
