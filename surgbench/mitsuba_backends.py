@@ -1,7 +1,7 @@
 """Which of Mitsuba's differentiable variants this machine can run, asked in processes of their own.
 
-Dr.Jit loads any LLVM from 15 on, but 15 and 16 kill the process at the first gradient ("Cannot select: f32 = fmaximum"):
-the version has to be known before a variant is chosen.
+Dr.Jit loads any LLVM from 15 on, but 15 and 16 kill the process at the first gradient ("Cannot select: f32 =
+fmaximum"): the version has to be known before a variant is chosen.
 """
 
 from __future__ import annotations

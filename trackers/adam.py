@@ -7,8 +7,10 @@ from typing import ClassVar
 import numpy as np
 
 from surgbench.contract import Scene
+from surgbench.geometry import FloatArray
 from surgbench.objective import Objective
-from surgbench.trackers.optimisers.descent import DescentConfig, DescentTracker
+from surgbench.trackers.optimisers.adam import Adam
+from surgbench.tracking.descent import Descent, DescentConfig, DescentTracker
 
 
 class AdamTracker(DescentTracker):
@@ -26,3 +28,7 @@ class AdamTracker(DescentTracker):
 
     def _differentiable(self, scene: Scene, rng: np.random.Generator) -> Objective:
         return Objective(scene, self.config.loss)
+
+    def _descent(self, start: FloatArray) -> Descent:
+        descent: Descent = Adam(start, self.config.learning_rate)
+        return descent

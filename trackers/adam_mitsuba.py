@@ -8,10 +8,12 @@ import numpy as np
 
 from surgbench.contract import Scene
 from surgbench.errors import SurgbenchError
+from surgbench.geometry import FloatArray
 from surgbench.mitsuba_backends import cuda_problem, llvm_problem
 from surgbench.objective import Objective
-from surgbench.trackers.optimisers.descent import DescentConfig, DescentTracker
+from surgbench.trackers.optimisers.adam import Adam
 from surgbench.trackers.optimisers.projective import ProjectiveObjective
+from surgbench.tracking.descent import Descent, DescentConfig, DescentTracker
 
 
 class AdamMitsubaTracker(DescentTracker):
@@ -40,4 +42,10 @@ class AdamMitsubaTracker(DescentTracker):
         if problem is not None:  # an LLVM that is too old would kill the process
             raise SurgbenchError(f"tracker '{self.name}' {problem}")
         cuda = (scene.device == "cuda" or llvm_problem() is not None) and cuda_problem() is None
-        return ProjectiveObjective(scene, self.config.loss, "cuda_ad_rgb" if cuda else "llvm_ad_rgb", rng)
+        variant = "cuda_ad_rgb" if cuda else "llvm_ad_rgb"
+        objective: Objective = ProjectiveObjective(scene, self.config.loss, variant, rng)
+        return objective
+
+    def _descent(self, start: FloatArray) -> Descent:
+        descent: Descent = Adam(start, self.config.learning_rate)
+        return descent

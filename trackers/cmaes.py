@@ -13,7 +13,7 @@ from surgbench.state import STATE_SIZE
 from surgbench.trackers.optimisers.cma import CMA
 from surgbench.trackers.optimisers.cma_settings import published_settings
 from surgbench.trackers.optimisers.normals import SobolNormals
-from surgbench.trackers.optimisers.sampling import SamplingConfig, SamplingTracker
+from surgbench.tracking.sampling import SamplingConfig, SamplingTracker
 
 
 class CmaesTracker(SamplingTracker):
@@ -56,7 +56,8 @@ class _Search:
         self._cma, self._normals, self._population = cma, normals, population
 
     def ask(self) -> FloatArray:
-        return self._cma.ask(self._normals.take(self._population))
+        samples: FloatArray = self._cma.ask(self._normals.take(self._population))
+        return samples
 
     def tell(self, samples: FloatArray, losses: NDArray[np.float64]) -> None:
         self._cma.tell(samples, losses)

@@ -13,7 +13,7 @@ from surgbench.geometry import FloatArray
 from surgbench.state import STATE_SIZE, split_arms
 from surgbench.trackers.optimisers.cma_settings import package_settings
 from surgbench.trackers.optimisers.normals import SobolNormals
-from surgbench.trackers.optimisers.sampling import SamplingConfig, SamplingTracker
+from surgbench.tracking.sampling import SamplingConfig, SamplingTracker
 
 # What stands for an infinite loss: the package warns of what is not finite, and adds two losses up.
 HUGE = 1e300
@@ -112,7 +112,7 @@ def _rank_mu_factor(covariance_rate: float, population: int, elites: int) -> flo
     wanted = covariance_rate * package_settings(STATE_SIZE, population).rank_mu_rate
     given = package_settings(STATE_SIZE, 2 * elites)
     rank_one_rate = 2 / ((STATE_SIZE + 1.3) ** 2 + given.effective)
-    return min(wanted, 0.999 * (1 - rank_one_rate)) / given.rank_mu_rate
+    return float(min(wanted, 0.999 * (1 - rank_one_rate)) / given.rank_mu_rate)
 
 
 def _package() -> Any:

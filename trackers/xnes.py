@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surgbench.geometry import FloatArray
-from surgbench.trackers.optimisers.sampling import SamplingConfig, SamplingTracker
 from surgbench.trackers.optimisers.xnes import XNES
+from surgbench.tracking.sampling import SamplingConfig, SamplingTracker
 
 
 class XnesTracker(SamplingTracker):
@@ -37,7 +37,9 @@ class _Search:
         self._xnes, self._rng, self._population = xnes, rng, population
 
     def ask(self) -> FloatArray:
-        return self._xnes.ask(self._rng.standard_normal((self._population, len(self._xnes.mean))))
+        normals = self._rng.standard_normal((self._population, len(self._xnes.mean)))
+        samples: FloatArray = self._xnes.ask(normals)
+        return samples
 
     def tell(self, samples: FloatArray, losses: NDArray[np.float64]) -> None:
         self._xnes.tell(samples, losses)

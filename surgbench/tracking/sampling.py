@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from surgbench.contract import Estimate, InstrumentTracker, Observation, Scene, Trace
 from surgbench.geometry import FloatArray
 from surgbench.objective import LossWeights, Objective
-from surgbench.trackers.optimisers.spaces import SearchSpaces
+from surgbench.tracking.spaces import SearchSpaces
 
 
 class Search(Protocol):
@@ -35,9 +35,9 @@ class SamplingConfig(BaseModel):
     iterations: Annotated[int, Field(ge=1, description="generations a frame")] = 3
     population: Annotated[int, Field(ge=4, description="samples a generation")] = 70
     sigma: Annotated[float, Field(gt=0, description="first step size, in the state's natural steps")] = 1.0
-    readings_scale: Annotated[float, Field(gt=0, description="factor on the joints' steps where readings are given")] = (
-        0.1
-    )
+    readings_scale: Annotated[
+        float, Field(gt=0, description="factor on the joints' steps where readings are given")
+    ] = 0.1
     lost_iou: Annotated[float, Field(ge=0, le=1, description="an estimate that overlaps less is lost")] = 0.5
     loss: LossWeights = LossWeights()
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Protocol
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
@@ -12,11 +12,24 @@ from surgbench.contract import Estimate, InstrumentTracker, Observation, Scene, 
 from surgbench.geometry import FloatArray
 from surgbench.objective import LossWeights, Objective
 from surgbench.state import JointLimits, clip_joints
-from surgbench.trackers.optimisers.adam import Adam
-from surgbench.trackers.optimisers.spaces import SearchSpaces
+from surgbench.tracking.spaces import SearchSpaces
 
 # A joint on its limit has no slope in the search space, and would stay there: keep this share of its range away.
 MARGIN = 1e-6
+
+
+class Descent(Protocol):
+    """One frame's descent.
+
+    Attributes:
+        point: ``(9 * arms,)`` where in the search space it has come to.
+    """
+
+    point: FloatArray
+
+    def tell(self, gradient: FloatArray) -> None:
+        """Take a step, given the gradient at :attr:`point`."""
+        ...
 
 
 class DescentConfig(BaseModel):
@@ -25,19 +38,19 @@ class DescentConfig(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     iterations: Annotated[int, Field(ge=1, description="steps a frame")] = 10
-    learning_rate: Annotated[float, Field(gt=0, description="of Adam, in the state's natural steps")] = 0.1
+    learning_rate: Annotated[float, Field(gt=0, description="size of a step, in the state's natural steps")] = 0.1
     estimate: Annotated[
         Literal["last", "best"], Field(description="where the descent ends, or the least loss on its way")
     ] = "last"
-    readings_scale: Annotated[float, Field(gt=0, description="factor on the joints' steps where readings are given")] = (
-        0.1
-    )
+    readings_scale: Annotated[
+        float, Field(gt=0, description="factor on the joints' steps where readings are given")
+    ] = 0.1
     lost_iou: Annotated[float, Field(ge=0, le=1, description="an estimate that overlaps less is lost")] = 0.5
     loss: LossWeights = LossWeights()
 
 
 class DescentTracker(InstrumentTracker):
-    """Gradient descent with Adam in the normalised state, begun anew in each frame."""
+    """Gradient descent in the normalised state, begun anew in each frame."""
 
     def __init__(self, config: DescentConfig) -> None:
         self._options = config
@@ -55,11 +68,15 @@ class DescentTracker(InstrumentTracker):
     def _differentiable(self, scene: Scene, rng: np.random.Generator) -> Objective:
         """The loss, and how its gradient is computed."""
 
+    @abstractmethod
+    def _descent(self, start: FloatArray) -> Descent:
+        """A descent that begins at ``start``, ``(9 * arms,)`` of the search space."""
+
     def step(self, observation: Observation) -> Estimate:
         """Descend from ``observation.start``."""
         self._objective.observe(observation)
         space = self._spaces.of(observation)
-        descent = Adam(space.encode(clip_joints(observation.start, self._inner)), self._options.learning_rate)
+        descent = self._descent(space.encode(clip_joints(observation.start, self._inner)))
         states = [space.decode(descent.point)]
         for _ in range(self._options.iterations):
             gradient = self._objective.gradient(states[-1][None])[0]
