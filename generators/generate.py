@@ -46,11 +46,11 @@ from surgbench.dataset.storage import describe_files, storage_error
 from surgbench.errors import ConfigError, DatasetError, SurgbenchError
 from surgbench.files import PARTIAL_SUFFIX, write_atomic
 from surgbench.generators.corruption import corrupt
-from surgbench.generators.observations import observe_joints, observe_keypoints
+from surgbench.generators.observations import observe_free_tool, observe_joints, observe_keypoints
 from surgbench.generators.presets import Corruption, Preset
 from surgbench.generators.render import MaskRenderer
 from surgbench.generators.trajectories import make_pair
-from surgbench.geometry import FloatArray
+from surgbench.geometry import FloatArray, rotation_vector
 from surgbench.instrument import Instrument, load_instrument, save_instrument
 from surgbench.randomness import generator
 
@@ -61,7 +61,7 @@ CHUNK_FRAMES = 20
 BLOCK_BYTES = 4096
 # Of a 1-bit mask's pixels, how many bytes the PNG takes at most, measured with room to spare.
 MASK_BYTES_PER_PIXEL = 0.01
-TABLE_BYTES_PER_FRAME = 400
+TABLE_BYTES_PER_FRAME = 500
 MANIFEST_BYTES_PER_FILE = 160
 
 
@@ -196,9 +196,9 @@ def generate(
             write_atomic(out / MARKER_NAME, json.dumps(plan.marker, sort_keys=True, indent=1).encode())
             for path, data in plan.instrument_files.items():
                 write_atomic(out / path, data)
-            _render_all(plan, out, jobs, progress)
+            finished = _render_all(plan, out, jobs, progress)
             _remove_partial(out)
-            write_atomic(out / MANIFEST_NAME, _manifest(plan, out).to_bytes())
+            write_atomic(out / MANIFEST_NAME, _manifest(plan, out, finished).to_bytes())
             (out / MARKER_NAME).unlink()
     except ConfigError:
         # These settings can never be finished.
@@ -307,13 +307,18 @@ def _remove_partial(out: Path) -> None:
         path.unlink(missing_ok=True)
 
 
-def _render_all(plan: Plan, out: Path, jobs: int, progress: Callable[[float], None]) -> None:
-    """Write everything but the manifest; what is there whole stays."""
+def _render_all(plan: Plan, out: Path, jobs: int, progress: Callable[[float], None]) -> list[SequenceEntry]:
+    """Write everything but the manifest; what is there whole stays.
+
+    Returns:
+        What the manifest says of the sequences.
+    """
+    finished: list[SequenceEntry] = []
     if jobs <= 1 and _ctrl_c_raises():
         worker = _Worker(plan, out, threads=None)
-        for chunk in _chunks(plan, out):
+        for chunk in _chunks(plan, out, finished):
             worker.render(chunk, progress)
-        return
+        return finished
     jobs = max(1, jobs)
     context = get_context("spawn")
     # Without a lock, which a killed worker could take along.
@@ -321,7 +326,7 @@ def _render_all(plan: Plan, out: Path, jobs: int, progress: Callable[[float], No
     with ProcessPoolExecutor(jobs, mp_context=context, initializer=_start_worker, initargs=(plan, out, stop)) as pool:
         waiting: set[Future[int]] = set()
         try:
-            for chunk in _chunks(plan, out):
+            for chunk in _chunks(plan, out, finished):
                 # Few at a time, so that the states of a long dataset are not all held at once.
                 while len(waiting) >= 2 * jobs:
                     waiting = _collect(waiting, progress)
@@ -334,6 +339,7 @@ def _render_all(plan: Plan, out: Path, jobs: int, progress: Callable[[float], No
             stop.value = True
             pool.shutdown(wait=True, cancel_futures=True)
             raise
+    return finished
 
 
 def _ctrl_c_raises() -> bool:
@@ -365,16 +371,21 @@ def _collect(waiting: set[Future[int]], progress: Callable[[float], None]) -> se
     return rest
 
 
-def _chunks(plan: Plan, out: Path) -> Iterator[Chunk]:
-    """Write each sequence's tables and yield its frames."""
-    for entry in plan.sequences:
-        states = _write_tables(plan, out, entry)
+def _chunks(plan: Plan, out: Path, finished: list[SequenceEntry]) -> Iterator[Chunk]:
+    """Write each sequence's tables and yield its frames; ``finished`` gets its part of the manifest."""
+    for planned in plan.sequences:
+        entry, states = _write_tables(plan, out, planned)
+        finished.append(entry)
         for start in range(0, entry.frames, CHUNK_FRAMES):
             yield Chunk(entry, start, states[start : start + CHUNK_FRAMES])
 
 
-def _write_tables(plan: Plan, out: Path, entry: SequenceEntry) -> FloatArray:
-    """Write a sequence's observations and states; returns ``(frames, 2, 9)``."""
+def _write_tables(plan: Plan, out: Path, entry: SequenceEntry) -> tuple[SequenceEntry, FloatArray]:
+    """Write a sequence's observations and states.
+
+    Returns:
+        Its part of the manifest, now with the places of the arms' bases, and its ``(frames, 2, 9)`` states.
+    """
     preset, instrument = plan.preset, plan.instrument
     axes: dict[str, str | int] = {"dataset": preset.seed, "sequence": entry.id}
     states: FloatArray = make_pair(
@@ -382,18 +393,23 @@ def _write_tables(plan: Plan, out: Path, entry: SequenceEntry) -> FloatArray:
     )
     observed: dict[str, FloatArray] = {tables.TIMESTAMP: np.arange(entry.frames, dtype=np.float64) * entry.dt_s}
     truth: dict[str, FloatArray] = {}
+    bases: dict[Arm, tuple[float, ...]] = {}
     for index, arm in enumerate(entry.arms):
         own = states[:, index]
         points = observe_keypoints(
             own, instrument, preset.camera, preset.keypoints, generator(**axes, arm=arm, purpose="keypoints")
         )
-        readings = observe_joints(own, preset.readings, generator(**axes, arm=arm, purpose="readings"))
+        readings = observe_joints(own, preset.readings, entry.dt_s, generator(**axes, arm=arm, purpose="readings"))
+        tool = observe_free_tool(own, preset.kinematics, generator(**axes, arm=arm, purpose="kinematics"))
         observed |= _columns(arm, tables.KEYPOINT_COLUMNS, points.reshape(-1, 4))
         observed |= _columns(arm, tables.READING_COLUMNS, readings)
+        poses = [rotation_vector(tool.T_base_tool[:, :3, :3]), tool.T_base_tool[:, :3, 3]]
+        observed |= _columns(arm, tables.KINEMATICS_COLUMNS, np.hstack(poses))
+        bases[arm] = tuple(tool.T_cam_base.ravel().tolist())
         truth |= _columns(arm, tables.STATE_COLUMNS, own)
     write_atomic(out / observations_path(entry.id), tables.encode_table(observed))
     write_atomic(out / states_path(entry.id), tables.encode_table(truth))
-    return states
+    return entry.model_copy(update={"T_cam_base": bases}), states
 
 
 def _columns(arm: Arm, names: tuple[str, ...], values: FloatArray) -> dict[str, FloatArray]:
@@ -483,7 +499,7 @@ def _configuration(plan: Plan) -> dict[str, Any]:
     return {key: value for key, value in plan.marker.items() if key != "format"}
 
 
-def _manifest(plan: Plan, out: Path) -> Manifest:
+def _manifest(plan: Plan, out: Path, sequences: list[SequenceEntry]) -> Manifest:
     name = plan.instrument.name
     return Manifest(
         name=plan.preset.name,
@@ -493,6 +509,6 @@ def _manifest(plan: Plan, out: Path) -> Manifest:
         configuration=_configuration(plan),
         cameras={CAMERA_NAME: plan.preset.camera},
         instruments={name: f"{instrument_folder(name)}/instrument.yaml"},
-        sequences=plan.sequences,
+        sequences=tuple(sequences),
         files=describe_files(out, plan.paths),
     )

@@ -5,23 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from surgbench.camera import Camera
-from surgbench.config import SUFFIXES, locate, parse_model, read_yaml
+from surgbench.config import SUFFIXES, Section, locate, parse_model, read_yaml
 from surgbench.errors import ConfigError, unknown_name
+from surgbench.generators.sections import Correlation, Finite, Fraction, Kinematics, NotNegative, Positive
 
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Fraction = Annotated[float, Field(ge=0, le=1)]
 Range = tuple[Finite, Finite]
-
-
-class Section(BaseModel):
-    """Base of all parts of a preset: unknown keys are errors, values never change."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
 
 class WaypointInterval(Section):
@@ -53,6 +44,8 @@ class Motion(Section):
     """How the instruments move.
 
     Attributes:
+        kind: ``free``: poses are interpolated. ``rcm``: the joints of a whole arm about a fixed remote centre; then
+            tilts are those of yaw and pitch, the roll's is that of the arm's roll, and lengths are those of the wrist.
         waypoint_interval: Frames between waypoints.
         fast_share: Share of the pairs, the last ones, that move fast.
         max_step: Bounds of the steps between waypoints.
@@ -63,10 +56,11 @@ class Motion(Section):
         lowpass_cutoff_hz: Cutoff of the second-order Butterworth filter run forwards and backwards.
     """
 
+    kind: Literal["free", "rcm"] = "free"
     waypoint_interval: WaypointInterval = WaypointInterval()
     fast_share: Fraction = 0.5
     max_step: MaxStep = MaxStep()
-    ou_rho: Annotated[float, Field(ge=0, lt=1)] = 0.99
+    ou_rho: Correlation = 0.99
     ou_sigma_angles_rad: tuple[NotNegative, NotNegative, NotNegative] = (0.01, 0.03, 0.01)
     ou_sigma_position_m: NotNegative = 0.002
     ou_sigma_joints_rad: NotNegative = 0.02
@@ -196,18 +190,20 @@ class Keypoints(Section):
 
 
 class Readings(Section):
-    """Joint readings of a cable-driven wrist: q + bias + drift + noise, per joint. Our choice, not published figures.
+    """Joint readings of a cable-driven wrist: q + bias + drift + stretch + noise, per joint. Our choice, not published.
 
     Attributes:
         bias_rad: Standard deviation of what is constant over a sequence.
         drift_rad: Stationary standard deviation of what changes slowly.
         drift_rho: Its correlation from frame to frame.
+        stretch_rad: How far the reading runs ahead of a moving joint, its cables stretched.
         noise_rad: Standard deviation of what is new in every frame.
     """
 
     bias_rad: NotNegative = 0.02
     drift_rad: NotNegative = 0.01
-    drift_rho: Annotated[float, Field(ge=0, lt=1)] = 0.995
+    drift_rho: Correlation = 0.995
+    stretch_rad: NotNegative = 0.0
     noise_rad: NotNegative = 0.002
 
 
@@ -230,7 +226,8 @@ class Preset(Section):
         workspace: Where they move.
         corruption: Settings, or a level: published, strong, none.
         keypoints: Noise of the tip keypoints.
-        readings: Noise of the joint readings.
+        readings: Errors of the joint readings.
+        kinematics: Errors of the robot's reading of its tool pose.
     """
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
@@ -245,6 +242,7 @@ class Preset(Section):
     corruption: Corruption = CORRUPTION_LEVELS["published"]
     keypoints: Keypoints = Keypoints()
     readings: Readings = Readings()
+    kinematics: Kinematics = Kinematics()
 
     @model_validator(mode="after")
     def _possible(self) -> Preset:

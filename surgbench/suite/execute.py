@@ -43,11 +43,13 @@ class UnitData:
         self._keypoints = [self.sequence.keypoints(arm) for arm in unit.arms]
         self.truth = self._stack([self.sequence.states(arm) for arm in unit.arms])
         self._joints = self._joint_readings(readings)
+        # From the same encoders as the joints' readings, and never better than those.
+        self._kinematics = None if readings == "none" else self._stack([self.sequence.kinematics(a) for a in unit.arms])
         self._limits = self.scene().joint_limits
 
     @staticmethod
     def _stack(per_arm: list[FloatArray | None]) -> FloatArray | None:
-        """``(T, arms, n)`` from one ``(T, n)`` per arm."""
+        """``(T, arms, ...)`` from one ``(T, ...)`` per arm."""
         present = [values for values in per_arm if values is not None]
         return np.stack(present, axis=1) if len(present) == len(per_arm) else None
 
@@ -65,6 +67,7 @@ class UnitData:
 
     def scene(self) -> Scene:
         """What stays the same over the sequence."""
+        bases = [base for arm in self.unit.arms if (base := self.sequence.T_cam_base(arm)) is not None]
         empty = np.zeros((self.camera.height, self.camera.width), dtype=bool)
         return Scene(
             instruments=self.instruments,
@@ -73,6 +76,7 @@ class UnitData:
             dt_s=self.sequence.dt_s,
             arms=len(self.unit.arms),
             speed=self.sequence.speed,
+            T_cam_base=np.stack(bases) if bases else None,
         )
 
     def observation(self, frame: int, mask: Mask) -> Observation:
@@ -85,12 +89,16 @@ class UnitData:
         if self._joints is not None and not np.isnan(self._joints[frame]).any():
             clipped = self._limits.clip(self._joints[frame])
             joints = clipped[0] if len(clipped) == 1 else clipped
+        kinematics = None
+        if self._kinematics is not None and not np.isnan(self._kinematics[frame]).any():
+            kinematics = self._kinematics[frame]
         return Observation(
             index=frame,
             timestamp_s=float(self.sequence.timestamps_s[frame]),
             views=(View(self.camera, np.eye(4), mask, keypoints=keypoints, image=image),),
             start=np.zeros(STATE_SIZE * len(self.unit.arms)),
             joints=joints,
+            kinematics=kinematics,
         )
 
 
