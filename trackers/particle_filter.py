@@ -18,11 +18,17 @@ from typing import Annotated, ClassVar
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
-from scipy.spatial.transform import Rotation
 
 from surgbench.contract import Estimate, InstrumentTracker, Observation, Scene, Trace, View
 from surgbench.errors import ConfigError
-from surgbench.geometry import FloatArray, look_at_angles, look_at_rotation
+from surgbench.geometry import (
+    FloatArray,
+    inverse_transform,
+    look_at_angles,
+    look_at_rotation,
+    rigid_transform,
+    rotation_from_vector,
+)
 from surgbench.objective import LossWeights, Objective
 from surgbench.silhouette import KeypointProjector
 from surgbench.state import ANGLES, JOINTS, POSITION, STATE_SIZE, split_arms
@@ -92,9 +98,7 @@ class LumpedErrorFilter:
         self._config, self._arm = config, arm
         self._limits = scene.limits[arm]
         self._T_cam_base = np.asarray(scene.T_cam_base[arm], dtype=np.float64)
-        self._first_pose = np.eye(4)
-        self._first_pose[:3, :3] = look_at_rotation(state[ANGLES])
-        self._first_pose[:3, 3] = state[POSITION]
+        self._first_pose = rigid_transform(look_at_rotation(state[ANGLES]), state[POSITION])
         self._T_0: FloatArray | None = None
         instrument = scene.instruments[arm]
         self._shaft = shaft_of(instrument) if config.shaft else None
@@ -121,7 +125,7 @@ class LumpedErrorFilter:
         assert observation.joints is not None
         T_base_tool = np.asarray(observation.kinematics[self._arm], dtype=np.float64)
         if self._T_0 is None:
-            self._T_0 = np.linalg.solve(self._T_cam_base, self._first_pose) @ np.linalg.inv(T_base_tool)
+            self._T_0 = inverse_transform(self._T_cam_base) @ self._first_pose @ inverse_transform(T_base_tool)
         else:
             self.cloud.walk(self._step)
         readings = observation.joints.reshape(-1, 3)[self._arm]
@@ -141,7 +145,7 @@ class LumpedErrorFilter:
         """Rotations ``(n, 3, 3)`` and translations ``(n, 3)`` T_cam_tool, and joints ``(n, 3)``, of all particles."""
         assert self._T_0 is not None
         x, T = self.cloud.values, self._T_0 @ T_base_tool
-        turned = self._T_cam_base[:3, :3] @ Rotation.from_rotvec(x[:, 3:6]).as_matrix()
+        turned = self._T_cam_base[:3, :3] @ rotation_from_vector(x[:, 3:6])
         shift = self._T_cam_base[:3, :3] @ x[:, :3, None]
         errors = x[:, 6:9] if self._config.joint_errors else np.zeros((len(x), 3))
         translations = turned @ T[:3, 3] + shift[..., 0] + self._T_cam_base[:3, 3]
@@ -176,7 +180,9 @@ class LumpedErrorFilter:
 
 def _mean_rotation(rotations: FloatArray, weights: FloatArray) -> FloatArray:
     """The rotation nearest to all ``(n, 3, 3)`` (least squares of the matrices' elements), ``(3, 3)``."""
-    return np.asarray(Rotation.from_matrix(rotations).mean(weights).as_matrix())
+    left, _, right = np.linalg.svd((weights @ rotations.reshape(-1, 9)).reshape(3, 3))
+    left[:, 2] *= np.sign(np.linalg.det(left @ right))
+    return np.asarray(left @ right)
 
 
 def _states(rotations: FloatArray, translations: FloatArray, joints: FloatArray) -> FloatArray:
