@@ -20,16 +20,16 @@ from multiprocessing import connection, get_context, parent_process
 from pathlib import Path
 from typing import Any
 
-import numpy as np
+import yaml
 
 from surgbench import __version__
+from surgbench.camera import Camera
 from surgbench.dataset import tables
 from surgbench.dataset.format import (
     ARMS,
     FORMAT,
     MANIFEST_NAME,
     MARKER_NAME,
-    Arm,
     Manifest,
     MaskKind,
     SequenceEntry,
@@ -46,12 +46,14 @@ from surgbench.dataset.storage import describe_files, storage_error
 from surgbench.errors import ConfigError, DatasetError, SurgbenchError
 from surgbench.files import PARTIAL_SUFFIX, write_atomic
 from surgbench.generators.corruption import corrupt
-from surgbench.generators.observations import observe_free_tool, observe_joints, observe_keypoints
+from surgbench.generators.lens import Lens
+from surgbench.generators.mismatch import NO_MISMATCH, real_camera, real_instrument
 from surgbench.generators.presets import Corruption, Preset
 from surgbench.generators.render import MaskRenderer
-from surgbench.generators.trajectories import make_pair
-from surgbench.geometry import FloatArray, rotation_vector
+from surgbench.generators.sequence import make_tables
+from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument, load_instrument, save_instrument
+from surgbench.instrument.files import INSTRUMENT_FILE
 from surgbench.randomness import generator
 
 CAMERA_NAME = "endoscope"
@@ -71,7 +73,9 @@ class Plan:
 
     Attributes:
         preset: Effective preset.
-        instrument: Of both arms.
+        instrument: Of both arms, as it is declared.
+        real_instrument: What is rendered; the same unless the preset has a mismatch.
+        real_camera: What sees it, distortion included; the preset's unless there is a mismatch.
         sequences: The dataset's sequences.
         marker: Effective configuration as it is kept in the folder until the dataset is complete.
         instrument_files: Names and bytes of the instrument's own files.
@@ -79,6 +83,8 @@ class Plan:
 
     preset: Preset
     instrument: Instrument
+    real_instrument: Instrument
+    real_camera: Camera
     sequences: tuple[SequenceEntry, ...]
     marker: dict[str, Any]
     instrument_files: dict[str, bytes]
@@ -142,19 +148,34 @@ def plan_dataset(preset: Preset) -> Plan:
         )
         for index in range(preset.pairs)
     )
-    with tempfile.TemporaryDirectory() as scratch:
-        folder = Path(scratch)
-        written = sorted(save_instrument(instrument, folder))
-        files = {
-            f"{instrument_folder(instrument.name)}/{path.relative_to(folder)}": path.read_bytes() for path in written
-        }
-    marker = {
+    files = _instrument_files(instrument)
+    marker: dict[str, Any] = {
         "format": FORMAT,
         # By name: the bytes must not depend on where an instrument file lies.
         "preset": {**preset.model_dump(mode="json"), "instrument": instrument.name},
-        "instrument_sha256": {path: hashlib.sha256(data).hexdigest() for path, data in files.items()},
+        "instrument_sha256": _hashes(files),
     }
-    return Plan(preset, instrument, sequences, marker, files)
+    real, camera = real_instrument(instrument, preset.mismatch), real_camera(preset.camera, preset.mismatch)
+    if preset.mismatch != NO_MISMATCH:
+        rendered = _instrument_files(real)
+        marker["rendered"] = {
+            "camera": camera.model_dump(mode="json"),
+            "instrument": yaml.safe_load(rendered[f"{instrument_folder(real.name)}/{INSTRUMENT_FILE}"]),
+            "instrument_sha256": _hashes(rendered),
+        }
+    return Plan(preset, instrument, real, camera, sequences, marker, files)
+
+
+def _instrument_files(instrument: Instrument) -> dict[str, bytes]:
+    """The files that an instrument has in a dataset, by their place in it."""
+    with tempfile.TemporaryDirectory() as scratch:
+        root = Path(scratch)
+        written = sorted(save_instrument(instrument, root / instrument_folder(instrument.name)))
+        return {path.relative_to(root).as_posix(): path.read_bytes() for path in written}
+
+
+def _hashes(files: dict[str, bytes]) -> dict[str, str]:
+    return {path: hashlib.sha256(data).hexdigest() for path, data in files.items()}
 
 
 def generate(
@@ -386,34 +407,10 @@ def _write_tables(plan: Plan, out: Path, entry: SequenceEntry) -> tuple[Sequence
     Returns:
         Its part of the manifest, now with the places of the arms' bases, and its ``(frames, 2, 9)`` states.
     """
-    preset, instrument = plan.preset, plan.instrument
-    axes: dict[str, str | int] = {"dataset": preset.seed, "sequence": entry.id}
-    states: FloatArray = make_pair(
-        preset, instrument, entry.speed, entry.frames, generator(**axes, purpose="trajectory")
-    )
-    observed: dict[str, FloatArray] = {tables.TIMESTAMP: np.arange(entry.frames, dtype=np.float64) * entry.dt_s}
-    truth: dict[str, FloatArray] = {}
-    bases: dict[Arm, tuple[float, ...]] = {}
-    for index, arm in enumerate(entry.arms):
-        own = states[:, index]
-        points = observe_keypoints(
-            own, instrument, preset.camera, preset.keypoints, generator(**axes, arm=arm, purpose="keypoints")
-        )
-        readings = observe_joints(own, preset.readings, entry.dt_s, generator(**axes, arm=arm, purpose="readings"))
-        tool = observe_free_tool(own, preset.kinematics, generator(**axes, arm=arm, purpose="kinematics"))
-        observed |= _columns(arm, tables.KEYPOINT_COLUMNS, points.reshape(-1, 4))
-        observed |= _columns(arm, tables.READING_COLUMNS, readings)
-        poses = [rotation_vector(tool.T_base_tool[:, :3, :3]), tool.T_base_tool[:, :3, 3]]
-        observed |= _columns(arm, tables.KINEMATICS_COLUMNS, np.hstack(poses))
-        bases[arm] = tuple(tool.T_cam_base.ravel().tolist())
-        truth |= _columns(arm, tables.STATE_COLUMNS, own)
-    write_atomic(out / observations_path(entry.id), tables.encode_table(observed))
-    write_atomic(out / states_path(entry.id), tables.encode_table(truth))
-    return entry.model_copy(update={"T_cam_base": bases}), states
-
-
-def _columns(arm: Arm, names: tuple[str, ...], values: FloatArray) -> dict[str, FloatArray]:
-    return dict(zip(tables.arm_columns(arm, names), values.T, strict=True))
+    made = make_tables(plan.preset, entry, plan.real_instrument, plan.real_camera)
+    write_atomic(out / observations_path(entry.id), tables.encode_table(made.observed))
+    write_atomic(out / states_path(entry.id), tables.encode_table(made.truth))
+    return entry.model_copy(update={"T_cam_base": made.T_cam_base}), made.states
 
 
 class _Worker:
@@ -431,7 +428,8 @@ class _Worker:
         self.settings: Corruption = plan.preset.corruption
         self.out = out
         self._stop = stop
-        self._renderers = {arm: MaskRenderer([plan.instrument], plan.preset.camera, threads) for arm in ARMS}
+        self._lens = Lens(plan.real_camera)
+        self._renderers = {arm: MaskRenderer([plan.real_instrument], self._lens.pinhole, threads) for arm in ARMS}
 
     def render(self, chunk: Chunk, progress: Callable[[float], None] = lambda frames: None) -> int:
         """Write a chunk's masks, those that are not there; returns its number of frames."""
@@ -446,7 +444,9 @@ class _Worker:
         paths = {kind: (clean_mask_path(sequence, kind, frame), observed_path(sequence, kind, frame)) for kind in KINDS}
         if all(_is_whole_png(self.out / path) for pair in paths.values() for path in pair):
             return
-        masks: dict[str, Mask] = {arm: self._renderers[arm].mask(states[index]) for index, arm in enumerate(ARMS)}
+        masks: dict[str, Mask] = {
+            arm: self._lens.see(self._renderers[arm].mask(states[index])) for index, arm in enumerate(ARMS)
+        }
         # A ray meets one of the two if it meets either, so that the union needs no rendering of its own.
         masks["both"] = masks["left"] | masks["right"]
         for kind, (clean, observed) in paths.items():

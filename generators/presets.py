@@ -10,7 +10,15 @@ from pydantic import Field, field_validator, model_validator
 from surgbench.camera import Camera
 from surgbench.config import SUFFIXES, Section, locate, parse_model, read_yaml
 from surgbench.errors import ConfigError, unknown_name
-from surgbench.generators.sections import Correlation, Finite, Fraction, Kinematics, NotNegative, Positive
+from surgbench.generators.sections import (
+    Correlation,
+    Finite,
+    Fraction,
+    Kinematics,
+    Mismatch,
+    NotNegative,
+    Positive,
+)
 
 Range = tuple[Finite, Finite]
 
@@ -228,6 +236,7 @@ class Preset(Section):
         keypoints: Noise of the tip keypoints.
         readings: Errors of the joint readings.
         kinematics: Errors of the robot's reading of its tool pose.
+        mismatch: How the real camera and instrument differ from those that are declared; not at all unless told.
     """
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
@@ -243,11 +252,12 @@ class Preset(Section):
     keypoints: Keypoints = Keypoints()
     readings: Readings = Readings()
     kinematics: Kinematics = Kinematics()
+    mismatch: Mismatch = Mismatch()
 
     @model_validator(mode="after")
     def _possible(self) -> Preset:
         if any(self.camera.distortion):
-            raise ValueError("camera.distortion must be left out or zero: masks are rendered without distortion")
+            raise ValueError("camera.distortion must be left out or zero: a lens is in mismatch.distortion")
         if self.motion.lowpass_cutoff_hz >= 0.5 / self.dt_s:
             raise ValueError(f"motion.lowpass_cutoff_hz must be below half the frame rate, {0.5 / self.dt_s:g}")
         return self

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from surgbench.config import Section
 
@@ -47,3 +47,32 @@ class Kinematics(Section):
     stretch_m: NotNegative = 0.0005
     noise_rad: NotNegative = 0.0002
     noise_m: NotNegative = 0.00005
+
+
+class Mismatch(Section):
+    """How what is rendered differs from the camera and the instrument that the dataset declares.
+
+    Attributes:
+        body_scale: Size of wrist and jaws, their distances included.
+        shaft_radius_scale: Thickness of the shaft.
+        jaw_extra_m: How much longer the jaws are, at their tips.
+        focal_scale: Of fx and fy.
+        centre_offset_px: Of the principal point.
+        distortion: Of the lens, OpenCV's order (k1, k2, p1, p2, k3), where the declared camera has none.
+        joint_offset_rad: Added to all readings of q1, q2, q3.
+    """
+
+    body_scale: Positive = 1.0
+    shaft_radius_scale: Positive = 1.0
+    jaw_extra_m: Finite = 0.0
+    focal_scale: tuple[Positive, Positive] = (1.0, 1.0)
+    centre_offset_px: tuple[Finite, Finite] = (0.0, 0.0)
+    distortion: Annotated[tuple[Finite, ...], Field(max_length=5)] = ()
+    joint_offset_rad: tuple[Finite, Finite, Finite] = (0.0, 0.0, 0.0)
+
+    @field_validator("distortion")
+    @classmethod
+    def _count(cls, value: tuple[float, ...]) -> tuple[float, ...]:
+        if len(value) not in (0, 4, 5):
+            raise ValueError("distortion must have 4 or 5 coefficients, k1, k2, p1, p2 and k3, or none")
+        return value
