@@ -52,11 +52,11 @@ class ParticleFilterConfig(BaseModel):
     particles: Annotated[int, Field(ge=2, description="particles of each arm (1000 in Hu et al.'s comparison)")] = 200
     init_position_m: Annotated[NotNegative, Field(description="spread of the first lumped errors' translation")] = 1e-3
     init_rotation_rad: Annotated[NotNegative, Field(description="spread of the first lumped errors' rotation")] = 1e-2
-    walk_position_m: Annotated[NotNegative, Field(description="random step of the translation in 1/30 s")] = 2.5e-5
-    walk_rotation_rad: Annotated[NotNegative, Field(description="random step of the rotation in 1/30 s")] = 1e-4
-    joint_errors: Annotated[bool, Field(description="also estimate the errors of the three joint readings")] = False
+    walk_position_m: Annotated[NotNegative, Field(description="random step of the translation in 1/30 s")] = 5e-5
+    walk_rotation_rad: Annotated[NotNegative, Field(description="random step of the rotation in 1/30 s")] = 5e-4
+    joint_errors: Annotated[bool, Field(description="also estimate the errors of the three joint readings")] = True
     init_joint_rad: Annotated[NotNegative, Field(description="spread of the first joint errors")] = 0.02
-    walk_joint_rad: Annotated[NotNegative, Field(description="random step of the joint errors in 1/30 s")] = 1e-3
+    walk_joint_rad: Annotated[NotNegative, Field(description="random step of the joint errors in 1/30 s")] = 2e-3
     point_rate: Annotated[Positive, Field(description="gamma of the tips, per pixel")] = 0.15
     point_threshold_px: Annotated[Positive, Field(description="tips farther apart are no pair")] = 20.0
     shaft: Annotated[bool, Field(description="observe the two edges of the shaft")] = True
@@ -100,6 +100,7 @@ class LumpedErrorFilter:
         self._T_cam_base = np.asarray(scene.T_cam_base[arm], dtype=np.float64)
         self._first_pose = rigid_transform(look_at_rotation(state[ANGLES]), state[POSITION])
         self._T_0: FloatArray | None = None
+        self._readings: tuple[FloatArray, FloatArray] | None = None
         instrument = scene.instruments[arm]
         self._shaft = shaft_of(instrument) if config.shaft else None
         self._projectors = [KeypointProjector([instrument], view.camera) for view in scene.views]
@@ -114,22 +115,26 @@ class LumpedErrorFilter:
         self.cloud = ParticleCloud(first, config.particles, rng)
         self.resampled = False
 
-    def step(self, observation: Observation) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Take a frame in.
+    def step(self, observation: Observation) -> FloatArray:
+        """Take a frame in. Where its readings are missing, the last ones stand for them.
 
         Returns:
-            ``(9,)`` weighted mean of the particles' states, ``(particles, 9)`` states, and their weights before any
-            resampling.
+            ``(9,)`` weighted mean of the particles' states.
+
+        Raises:
+            ConfigError: There are no readings, nor were there ever any.
         """
-        assert observation.kinematics is not None
-        assert observation.joints is not None
-        T_base_tool = np.asarray(observation.kinematics[self._arm], dtype=np.float64)
+        if observation.kinematics is not None and observation.joints is not None:
+            T_base_tool = np.asarray(observation.kinematics[self._arm], dtype=np.float64)
+            self._readings = T_base_tool, observation.joints.reshape(-1, 3)[self._arm]
+        if self._readings is None:
+            raise ConfigError(NEEDS_KINEMATICS)
+        T_base_tool, joint_readings = self._readings
         if self._T_0 is None:
             self._T_0 = inverse_transform(self._T_cam_base) @ self._first_pose @ inverse_transform(T_base_tool)
         else:
             self.cloud.walk(self._step)
-        readings = observation.joints.reshape(-1, 3)[self._arm]
-        rotations, translations, joints = self._places(T_base_tool, readings)
+        rotations, translations, joints = self._places(T_base_tool, joint_readings)
         for index, view in enumerate(observation.views):
             self.cloud.weigh(self._likelihood(index, view, rotations, translations, joints))
         weights = self.cloud.weights
@@ -137,9 +142,15 @@ class LumpedErrorFilter:
         mean[ANGLES] = look_at_angles(_mean_rotation(rotations, weights))
         mean[POSITION] = weights @ translations
         mean[JOINTS] = self._limits.clip(weights @ joints)
-        states = _states(rotations, translations, joints)
+        self._weighed = rotations, translations, joints, weights
         self.resampled = self.cloud.resample(self._config.resample_below)
-        return mean, states, weights
+        return mean
+
+    def ranked(self) -> tuple[FloatArray, FloatArray]:
+        """States ``(particles, 9)`` of the last step and their weights before resampling, heaviest first."""
+        rotations, translations, joints, weights = self._weighed
+        order = np.argsort(-weights, kind="stable")
+        return _states(rotations, translations, joints)[order], weights[order]
 
     def _places(self, T_base_tool: FloatArray, readings: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Rotations ``(n, 3, 3)`` and translations ``(n, 3)`` T_cam_tool, and joints ``(n, 3)``, of all particles."""
@@ -230,18 +241,14 @@ class ParticleFilterTracker(InstrumentTracker):
         """Move, weigh and average the particles. ``observation.start`` plays no part.
 
         Raises:
-            ConfigError: The frame comes without kinematics or readings.
+            ConfigError: There are no kinematics or no readings, not even of earlier frames.
         """
-        if observation.kinematics is None or observation.joints is None:
-            raise ConfigError(NEEDS_KINEMATICS)
-        means, states, weights = zip(*(arm.step(observation) for arm in self._arms), strict=True)
+        state = np.concatenate([arm.step(observation) for arm in self._arms])
         if self.trace is not None:
-            orders = [np.argsort(-one, kind="stable") for one in weights]
-            ranked = [one[order] for one, order in zip(states, orders, strict=True)]
-            losses = [-np.log(np.maximum(one[order], 1e-300)) for one, order in zip(weights, orders, strict=True)]
-            self.trace.states.append(np.concatenate(ranked, axis=1))
+            states, weights = zip(*(arm.ranked() for arm in self._arms), strict=True)
+            losses = [-np.log(np.maximum(one, np.finfo(float).tiny)) for one in weights]
+            self.trace.states.append(np.concatenate(states, axis=1))
             self.trace.losses.append(np.sum(losses, axis=0))
-        state = np.concatenate(means)
         self._objective.observe(observation)
         overlap = float(self._objective.mismatch(state[None])[1][0])
         return Estimate(state, confidence=overlap, lost=overlap < self.config.lost_iou)
