@@ -1,7 +1,6 @@
 """Find the first state without a hint: random pose hypotheses, ranked, the best of them refined.
 
-The hypothesis space is that of Liang et al. (arXiv:2503.05953; figures as in their released code): the shaft is
-tilted by 30 to 60 degrees against the optical axis, at any roll, 0.10 to 0.17 m away. They reach the
+The hypothesis space is that of Liang et al. (:mod:`surgbench.trackers.initialisers.hypotheses`). They reach the
 position in the image by gradient; here the wrist is placed over a random pixel of the mask instead. The
 shaft dominates the silhouette, so that the first ranking finds it and little else; then the roll about it and
 the joints are drawn anew around the best shafts, and thin parts of the mask are weighted up throughout.
@@ -10,27 +9,21 @@ the joints are drawn anew around the best shafts, and thin parts of the mask are
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Annotated, ClassVar
 
-import cv2
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from surgbench.camera import Camera
-from surgbench.contract import Mask, Observation, Plugin, Scene
-from surgbench.errors import SurgbenchError
-from surgbench.geometry import FloatArray, look_at_angles, look_at_rotation
+from surgbench.contract import Observation, Plugin, Scene
+from surgbench.geometry import FloatArray, look_at_rotation
 from surgbench.objective import LossWeights
-from surgbench.state import ANGLES, BETA, JOINTS, POSITION, STATE_SCALE, JointLimits, StateSpace
-from surgbench.trackers.initialisers.thickness import ThicknessObjective
-from surgbench.trackers.optimisers.cma import CMA
+from surgbench.state import ANGLES, BETA, JOINTS, POSITION, JointLimits
+from surgbench.trackers.initialisers.arms import initialise_each_arm
+from surgbench.trackers.initialisers.hypotheses import DISTANCE_M, ELEVATION_DEG, Range, hypothesis_states
+from surgbench.trackers.initialisers.refinement import WIDE, Refiner, Scorer
 
 Count = Annotated[int, Field(ge=1)]
-Range = tuple[float, float]
 
-BATCH = 256
-WIDE = 5.0  # first step of refinements that begin at a coarse hypothesis
 SHAFT_SLIP_M = 2e-3  # how well a shaft tells where along it the wrist is
 
 
@@ -52,8 +45,8 @@ class RandomInitialiser(Plugin):
         finalists: Annotated[Count, Field(description="best states that are refined to the end")] = 4
         generations: Annotated[tuple[int, int], Field(description="of a refinement, and of the last one")] = (20, 100)
         population: Annotated[int, Field(ge=4, description="samples a generation")] = 70
-        distance_m: Annotated[Range, Field(description="of the wrist along the optical axis")] = (0.10, 0.17)
-        elevation_deg: Annotated[Range, Field(description="tilt of the shaft against the optical axis")] = (30.0, 60.0)
+        distance_m: Annotated[Range, Field(description="of the wrist along the optical axis")] = DISTANCE_M
+        elevation_deg: Annotated[Range, Field(description="tilt of the shaft against the optical axis")] = ELEVATION_DEG
         loss: LossWeights = LossWeights()
 
     def __init__(self, config: Config | None = None) -> None:
@@ -72,55 +65,25 @@ class RandomInitialiser(Plugin):
         Raises:
             SurgbenchError: The first mask is empty, or two arms cannot be told apart in it.
         """
-        masks = _mask_per_arm(observation, scene.arms)
-        states = []
-        for arm, mask in enumerate(masks):
-            view = replace(observation.views[0], mask=mask, keypoints=(observation.views[0].keypoints[arm],))
-            joints = None if observation.joints is None else observation.joints.reshape(scene.arms, 3)[arm]
-            alone = replace(
-                scene, instruments=(scene.instruments[arm],), limits=(scene.limits[arm],), views=(view,), arms=1
-            )
-            one = replace(observation, views=(view,), joints=joints)
 
-            def advance(fraction: float, before: int = arm) -> None:
-                progress((before + fraction) / scene.arms)
+        def search(alone: Scene, frame: Observation, advance: Callable[[float], None]) -> FloatArray:
+            return self._initialise_arm(alone, frame, rng, advance)
 
-            states.append(self._initialise_arm(alone, one, rng, advance))
-        found: FloatArray = np.concatenate(states)
-        return found
+        return initialise_each_arm(scene, observation, progress, search)
 
     def _initialise_arm(
         self, scene: Scene, observation: Observation, rng: np.random.Generator, progress: Callable[[float], None]
     ) -> FloatArray:
         config = self.config
-        limits = scene.limits[0]
         drawn = scene.instruments[0].generate_limits
-        objective = ThicknessObjective(scene, config.loss)
-        objective.observe(observation)
         short, long = config.generations
-        refinements = 2 * config.refined * short + config.finalists * long
+        refinements = (2 * config.refined + config.shafts) * short + config.finalists * long
         work = 2 * config.hypotheses + config.population * refinements
-        done = 0
-
-        def evaluate(states: FloatArray) -> FloatArray:
-            nonlocal done
-            losses: FloatArray = objective(states)[0]
-            done += len(states)
-            progress(min(done / work, 1.0))
-            return losses
-
-        # With readings the joints are searched within a few hundredths of a radian of them.
-        joint_step = 1.0 if observation.joints is None else 0.1
-        space = StateSpace(limits, STATE_SCALE * np.where(np.arange(len(STATE_SCALE)) < 6, 1.0, joint_step))
-
-        def refine(candidates: FloatArray, sigma: float, generations: int, keep: int) -> FloatArray:
-            ended = [self._refine(space, state, sigma, generations, evaluate, rng) for state in candidates]
-            order = np.argsort([loss for _, loss in ended], kind="stable")[:keep]
-            return np.stack([ended[i][0] for i in order])
-
-        coarse = _best(self._draw(observation, drawn, rng), evaluate, config.refined)
+        score = Scorer(scene, observation, config.loss, work, progress)
+        refine = Refiner(scene, observation, score, config.population, rng)
+        coarse = score.best(self._draw(observation, drawn, rng), config.refined)
         shafts = refine(coarse, WIDE, short, config.shafts)
-        anew = _best(self._draw_anew(shafts, observation, drawn, rng), evaluate, config.refined)
+        anew = score.best(self._draw_anew(shafts, observation, drawn, rng), config.refined)
         candidates = np.concatenate([shafts, anew])
         finalists = refine(candidates, WIDE, short, config.finalists)
         best: FloatArray = refine(finalists, 1.0, long, 1)[0]
@@ -140,47 +103,14 @@ class RandomInitialiser(Plugin):
     def _draw(self, observation: Observation, limits: JointLimits, rng: np.random.Generator) -> FloatArray:
         """``(hypotheses, 9)`` random states whose wrist projects onto the mask."""
         n = self.config.hypotheses
-        camera: Camera = observation.views[0].camera
         roll_camera, roll_local = rng.uniform(0.0, 2 * np.pi, (2, n))
         elevation = np.deg2rad(rng.uniform(*self.config.elevation_deg, n))
         depth = rng.uniform(*self.config.distance_m, n)
         rows, columns = np.nonzero(observation.mask)
         pick = rng.integers(len(rows), size=n)
-        states = np.empty((n, 9))
-        states[:, :3] = look_at_angles(_rot_z(roll_camera) @ _rot_y(elevation) @ _rot_z(roll_local))
-        states[:, 3] = (columns[pick] - camera.cx) / camera.fx * depth
-        states[:, 4] = (rows[pick] - camera.cy) / camera.fy * depth
-        states[:, 5] = depth
-        states[:, JOINTS] = _draw_joints(observation, limits, n, rng)
-        return states
-
-    def _refine(
-        self,
-        space: StateSpace,
-        state: FloatArray,
-        sigma: float,
-        generations: int,
-        evaluate: Callable[[FloatArray], FloatArray],
-        rng: np.random.Generator,
-    ) -> tuple[FloatArray, float]:
-        """The best state that CMA-ES with its default rates meets, and its loss."""
-        search = CMA(space.encode(state), sigma, self.config.population)
-        best, best_loss = state, np.inf
-        for _ in range(generations):
-            samples = search.ask(rng.standard_normal((self.config.population, len(state))))
-            states = space.decode(samples)
-            losses = evaluate(states)
-            search.tell(samples, losses)
-            first = int(np.argmin(losses))
-            if losses[first] < best_loss:
-                best, best_loss = states[first], float(losses[first])
-        return best, best_loss
-
-
-def _best(states: FloatArray, evaluate: Callable[[FloatArray], FloatArray], keep: int) -> FloatArray:
-    """The ``keep`` states of least loss, best first."""
-    losses = np.concatenate([evaluate(states[begin : begin + BATCH]) for begin in range(0, len(states), BATCH)])
-    return states[np.argsort(losses, kind="stable")[:keep]]
+        joints = _draw_joints(observation, limits, n, rng)
+        wrist = (columns[pick], rows[pick])
+        return hypothesis_states(observation.views[0].camera, roll_camera, elevation, roll_local, depth, wrist, joints)
 
 
 def _draw_joints(observation: Observation, limits: JointLimits, count: int, rng: np.random.Generator) -> FloatArray:
@@ -188,29 +118,3 @@ def _draw_joints(observation: Observation, limits: JointLimits, count: int, rng:
     if observation.joints is not None:
         return np.tile(observation.joints, (count, 1))
     return rng.uniform(limits.lower_rad, limits.upper_rad, (count, 3))
-
-
-def _mask_per_arm(observation: Observation, arms: int) -> list[Mask]:
-    """One mask per arm: the mask, the instance masks, or the two largest parts of the mask from left to right."""
-    view = observation.views[0]
-    if not view.mask.any():
-        raise SurgbenchError(f"the mask of frame {observation.index} is empty: nothing to start from")
-    if arms == 1:
-        return [view.mask]
-    if view.instance_masks is not None:
-        return list(view.instance_masks)
-    count, labels, stats, centres = cv2.connectedComponentsWithStats(view.mask.astype(np.uint8))
-    if count < 3:
-        raise SurgbenchError("the arms overlap in the first mask: start from a frame where they are apart")
-    largest = 1 + np.argsort(-stats[1:, cv2.CC_STAT_AREA], kind="stable")[:2]
-    return [np.asarray(labels == label) for label in sorted(largest, key=lambda label: centres[label][0])]
-
-
-def _rot_z(angle_rad: FloatArray) -> FloatArray:
-    c, s, zero, one = np.cos(angle_rad), np.sin(angle_rad), np.zeros_like(angle_rad), np.ones_like(angle_rad)
-    return np.stack([c, -s, zero, s, c, zero, zero, zero, one], axis=-1).reshape(-1, 3, 3)
-
-
-def _rot_y(angle_rad: FloatArray) -> FloatArray:
-    c, s, zero, one = np.cos(angle_rad), np.sin(angle_rad), np.zeros_like(angle_rad), np.ones_like(angle_rad)
-    return np.stack([c, zero, s, zero, one, zero, -s, zero, c], axis=-1).reshape(-1, 3, 3)
