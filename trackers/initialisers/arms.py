@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
-import cv2
 import numpy as np
 
-from surgbench.contract import Mask, Observation, Scene
+from surgbench.contract import Observation, Scene
 from surgbench.errors import SurgbenchError
 from surgbench.geometry import FloatArray
+from surgbench.trackers.arm_masks import mask_per_arm
 
 Search = Callable[[Scene, Observation, Callable[[float], None]], FloatArray]
 
@@ -29,8 +29,13 @@ def initialise_each_arm(
     Raises:
         SurgbenchError: The first mask is empty, or two arms cannot be told apart in it.
     """
+    if not observation.mask.any():
+        raise SurgbenchError(f"the mask of frame {observation.index} is empty: nothing to start from")
+    masks = mask_per_arm(observation.views[0], scene.arms)
+    if masks is None:
+        raise SurgbenchError("the arms overlap in the first mask: start from a frame where they are apart")
     states = []
-    for arm, mask in enumerate(mask_per_arm(observation, scene.arms)):
+    for arm, mask in enumerate(masks):
         view = replace(observation.views[0], mask=mask, keypoints=(observation.views[0].keypoints[arm],))
         joints = None if observation.joints is None else observation.joints.reshape(scene.arms, 3)[arm]
         alone = replace(
@@ -43,23 +48,3 @@ def initialise_each_arm(
         states.append(search(alone, replace(observation, views=(view,), joints=joints), advance))
     found: FloatArray = np.concatenate(states)
     return found
-
-
-def mask_per_arm(observation: Observation, arms: int) -> list[Mask]:
-    """One mask per arm: the mask, the instance masks, or the two largest parts of the mask from left to right.
-
-    Raises:
-        SurgbenchError: The mask is empty, or two arms cannot be told apart in it.
-    """
-    view = observation.views[0]
-    if not view.mask.any():
-        raise SurgbenchError(f"the mask of frame {observation.index} is empty: nothing to start from")
-    if arms == 1:
-        return [view.mask]
-    if view.instance_masks is not None:
-        return list(view.instance_masks)
-    count, labels, stats, centres = cv2.connectedComponentsWithStats(view.mask.astype(np.uint8))
-    if count < 3:
-        raise SurgbenchError("the arms overlap in the first mask: start from a frame where they are apart")
-    largest = 1 + np.argsort(-stats[1:, cv2.CC_STAT_AREA], kind="stable")[:2]
-    return [np.asarray(labels == label) for label in sorted(largest, key=lambda label: centres[label][0])]

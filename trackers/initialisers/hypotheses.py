@@ -12,10 +12,8 @@ from surgbench.camera import Camera
 from surgbench.geometry import FloatArray, look_at_angles
 from surgbench.state import ANGLES, JOINTS, POSITION, STATE_SIZE
 
-Range = tuple[float, float]
-
-DISTANCE_M: Range = (0.10, 0.17)
-ELEVATION_DEG: Range = (30.0, 60.0)
+DISTANCE_M = (0.10, 0.17)
+ELEVATION_DEG = (30.0, 60.0)
 
 
 def hypothesis_states(

@@ -16,7 +16,7 @@ from surgbench.contract import Observation, Plugin, Scene
 from surgbench.geometry import FloatArray
 from surgbench.state import JointLimits
 from surgbench.trackers.initialisers.arms import initialise_each_arm
-from surgbench.trackers.initialisers.hypotheses import DISTANCE_M, ELEVATION_DEG, Range, hypothesis_states
+from surgbench.trackers.initialisers.hypotheses import DISTANCE_M, ELEVATION_DEG, hypothesis_states
 from surgbench.trackers.initialisers.refinement import Count, RefinementConfig, Scorer, draw_joints, finish
 
 
@@ -31,8 +31,12 @@ class RandomInitialiser(Plugin):
         """Options."""
 
         hypotheses: Annotated[Count, Field(description="random states that are ranked")] = 8192
-        distance_m: Annotated[Range, Field(description="of the wrist along the optical axis")] = DISTANCE_M
-        elevation_deg: Annotated[Range, Field(description="tilt of the shaft against the optical axis")] = ELEVATION_DEG
+        distance_m: Annotated[tuple[float, float], Field(description="of the wrist along the optical axis")] = (
+            DISTANCE_M
+        )
+        elevation_deg: Annotated[
+            tuple[float, float], Field(description="tilt of the shaft against the optical axis")
+        ] = ELEVATION_DEG
 
     def __init__(self, config: Config | None = None) -> None:
         self.config = config or self.Config()
@@ -55,9 +59,11 @@ class RandomInitialiser(Plugin):
         def search(alone: Scene, frame: Observation, advance: Callable[[float], None]) -> FloatArray:
             score = Scorer(alone, frame, config.loss, config.hypotheses + config.work, advance)
             drawn = self._draw(frame, alone.instruments[0].generate_limits, rng)
-            return finish(alone, frame, score.best(drawn, config.refined), config, score, rng)
+            found: FloatArray = finish(alone, frame, score.best(drawn, config.refined), config, score, rng)
+            return found
 
-        return initialise_each_arm(scene, observation, progress, search)
+        states: FloatArray = initialise_each_arm(scene, observation, progress, search)
+        return states
 
     def _draw(self, observation: Observation, limits: JointLimits, rng: np.random.Generator) -> FloatArray:
         """``(hypotheses, 9)`` random states whose wrist projects onto the mask."""
@@ -69,4 +75,6 @@ class RandomInitialiser(Plugin):
         pick = rng.integers(len(rows), size=n)
         joints = draw_joints(observation, limits, n, rng)
         wrist = (columns[pick], rows[pick])
-        return hypothesis_states(observation.views[0].camera, roll_camera, elevation, roll_local, depth, wrist, joints)
+        camera = observation.views[0].camera
+        states: FloatArray = hypothesis_states(camera, roll_camera, elevation, roll_local, depth, wrist, joints)
+        return states

@@ -13,9 +13,9 @@ from pydantic import Field
 from surgbench.contract import Observation, Plugin, Scene
 from surgbench.errors import ConfigError
 from surgbench.geometry import FloatArray
-from surgbench.state import JOINTS, POSITION, STATE_SCALE, STATE_SIZE, StateSpace
+from surgbench.state import POSITION, STATE_SCALE, STATE_SIZE, StateSpace
 from surgbench.trackers.initialisers.arms import initialise_each_arm
-from surgbench.trackers.initialisers.hypotheses import DISTANCE_M, ELEVATION_DEG, Range, hypothesis_states
+from surgbench.trackers.initialisers.hypotheses import DISTANCE_M, ELEVATION_DEG, hypothesis_states
 from surgbench.trackers.initialisers.refinement import WIDE, Count, RefinementConfig, Scorer, finish
 from surgbench.trackers.optimisers.cma import CMA
 
@@ -37,13 +37,17 @@ class TurboInitialiser(Plugin):
     class Config(RefinementConfig):
         """Options."""
 
-        evaluations: Annotated[Count, Field(description="hypotheses that TuRBO asks for")] = 1000
+        evaluations: Annotated[Count, Field(description="hypotheses that TuRBO asks for")] = 600
         batch: Annotated[Count, Field(description="hypotheses at a time, and before the first Gaussian process")] = 50
         places: Annotated[Count, Field(description="pixels of the mask that the wrist is tried at")] = 32
         local_generations: Annotated[Count, Field(description="of the refinement of each hypothesis' pose")] = 6
         local_population: Annotated[int, Field(ge=4, description="its samples a generation")] = 16
-        distance_m: Annotated[Range, Field(description="of the wrist along the optical axis")] = DISTANCE_M
-        elevation_deg: Annotated[Range, Field(description="tilt of the shaft against the optical axis")] = ELEVATION_DEG
+        distance_m: Annotated[tuple[float, float], Field(description="of the wrist along the optical axis")] = (
+            DISTANCE_M
+        )
+        elevation_deg: Annotated[
+            tuple[float, float], Field(description="tilt of the shaft against the optical axis")
+        ] = ELEVATION_DEG
 
     def __init__(self, config: Config | None = None) -> None:
         self.config = config or self.Config()
@@ -77,7 +81,8 @@ class TurboInitialiser(Plugin):
         def search(alone: Scene, frame: Observation, advance: Callable[[float], None]) -> FloatArray:
             return self._initialise_arm(alone, frame, rng, advance)
 
-        return initialise_each_arm(scene, observation, progress, search)
+        states: FloatArray = initialise_each_arm(scene, observation, progress, search)
+        return states
 
     def _initialise_arm(
         self, scene: Scene, observation: Observation, rng: np.random.Generator, progress: Callable[[float], None]
@@ -100,7 +105,8 @@ class TurboInitialiser(Plugin):
             states.append(settled)
             losses.append(values)
         chosen = _apart(np.concatenate(points), np.concatenate(losses), config.refined)
-        return finish(scene, observation, np.concatenate(states)[chosen], config, score, rng)
+        found: FloatArray = finish(scene, observation, np.concatenate(states)[chosen], config, score, rng)
+        return found
 
 
 class _Settler:
@@ -144,12 +150,14 @@ class _Settler:
 
     def _place(self, points: FloatArray) -> FloatArray:
         distance, elevation, roll_local, roll_camera, *joints = (self._low + points * (self._high - self._low)).T
-        q = np.stack(joints, axis=1) if joints else np.tile(self._observation.joints, (len(points), 1))  # type: ignore[arg-type]
+        read = self._observation.joints
+        q = np.stack(joints, axis=1) if read is None else np.tile(read, (len(points), 1))
         places = len(self._places[0])
 
         def at(u: NDArray[np.float64], v: NDArray[np.float64], times: int) -> FloatArray:
             angles = (np.repeat(a, times) for a in (roll_camera, elevation, roll_local, distance))
-            return hypothesis_states(self._camera, *angles, (u, v), np.repeat(q, times, axis=0))
+            states: FloatArray = hypothesis_states(self._camera, *angles, (u, v), np.repeat(q, times, axis=0))
+            return states
 
         n = len(points)
         tried = at(np.tile(self._places[0], n), np.tile(self._places[1], n), places).reshape(n, places, STATE_SIZE)
@@ -158,7 +166,8 @@ class _Settler:
             by_tips = self._over_tips(tried[:, 0].copy(), tips)
             tried = np.concatenate([tried, by_tips[:, None]], axis=1)
         losses = self._score(tried.reshape(-1, STATE_SIZE)).reshape(n, -1)
-        return tried[np.arange(n), np.argmin(losses, axis=1)]
+        placed: FloatArray = tried[np.arange(n), np.argmin(losses, axis=1)]
+        return placed
 
     def _over_tips(self, states: FloatArray, tips_px: FloatArray) -> FloatArray:
         """The states moved sideways until the middle of their tips is seen where it was observed."""

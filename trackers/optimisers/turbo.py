@@ -57,7 +57,8 @@ class Turbo:
         for draw in draws:  # Thompson sampling, no candidate twice
             draw[taken] = np.inf
             taken.append(int(np.argmin(draw)))
-        return candidates[taken]
+        asked: FloatArray = candidates[taken]
+        return asked
 
     def tell(self, points: FloatArray, values: FloatArray) -> None:
         """Take a batch in; a trust region that has collapsed is left, and the next batch begins a new one.
@@ -96,4 +97,5 @@ class Turbo:
         moved = self._rng.random((count, d)) < min(PERTURBED / d, 1.0)
         moved[np.arange(count), self._rng.integers(d, size=count)] = True
         points = np.where(moved, points, centre)
-        return np.where(self._periodic, np.mod(points, 1.0), points)
+        wrapped: FloatArray = np.where(self._periodic, np.mod(points, 1.0), points)
+        return wrapped
