@@ -129,6 +129,15 @@ class Plugin:
     name: ClassVar[str]
     summary: ClassVar[str] = ""
 
+    @classmethod
+    def unavailable(cls) -> str | None:
+        """One line on why it cannot run on this machine; ``None`` where it can.
+
+        Runs that need it are then recorded as ``skipped``. It is called in the command's own process, so that a library
+        that may end the process is to be tried in another one. A class without this method is available.
+        """
+        return None
+
 
 class InstrumentTracker(Plugin):
     """Estimates the state of one or two instruments frame by frame."""
@@ -205,6 +214,24 @@ class StateFilter(Protocol):
 
     def update(self, estimate: FloatArray) -> FloatArray:
         """Take a frame's estimate in; returns the filtered state."""
+        ...
+
+
+@runtime_checkable
+class OracleFilter(StateFilter, Protocol):
+    """A filter that is told the truth: it measures floors, and is never for ranking.
+
+    With one, the first frame's search begins at its true state whatever the initialiser says, and the rows of its runs
+    are marked (column ``floor``).
+    """
+
+    needs_truth: ClassVar[bool]
+
+    def give_truth(self, states: FloatArray) -> None:
+        """The true states of all frames to be run, ``(T, 9 * arms)``; called before ``reset``.
+
+        Frame ``k``'s prediction is asked for after ``k`` calls of ``predict``: the first frame has none.
+        """
         ...
 
 

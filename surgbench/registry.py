@@ -71,6 +71,18 @@ class Found:
         path = None if self.cls is None else inspect.getsourcefile(self.cls)
         return "unknown" if path is None else sha256_file(Path(path))[:16]
 
+    @property
+    def unavailable(self) -> str | None:
+        """One line on why it cannot run on this machine; ``None`` where it can, as far as it says."""
+        ask = getattr(self.cls, "unavailable", None)
+        if ask is None:
+            return None
+        try:
+            reason = ask()
+        except Exception as error:  # then it cannot tell, and cannot be trusted to run
+            reason = f"unavailable() raised {type(error).__name__}: {error}"
+        return None if reason is None else " ".join(str(reason).split())
+
 
 def _plugin_classes(module: Any, kind: Kind) -> list[type]:
     """Classes of the module itself that have a name and the kind's methods."""
@@ -129,6 +141,8 @@ def _checked(cls: Any, kind: Kind, source: str) -> type:
     for method in METHODS[kind]:
         if not callable(getattr(cls, method, None)):
             raise ConfigError(f"{source}: needs a method '{method}'")
+    if kind == "filter" and getattr(cls, "needs_truth", False) and not callable(getattr(cls, "give_truth", None)):
+        raise ConfigError(f"{source}: needs a method 'give_truth', for it has 'needs_truth'")
     return cls
 
 

@@ -20,9 +20,9 @@ ANGLES = slice(0, 3)
 POSITION = slice(3, 6)
 JOINTS = slice(6, 9)
 
-# Natural step of each component: 0.01 rad for alpha and gamma, 0.1 rad for beta, 1 mm, 0.1 rad for joints
-# (the paper's released settings; see docs/conventions.md).
-STATE_SCALE = np.array([0.01, 0.1, 0.01, 1e-3, 1e-3, 1e-3, 0.1, 0.1, 0.1])
+# Natural step of each component: 0.01 rad for alpha and gamma, 0.1 rad for beta, 1 mm, 0.1 rad for the wrist joints
+# and for the opening between the jaws, half of which is q3 (the paper's released settings; see docs/conventions.md).
+STATE_SCALE = np.array([0.01, 0.1, 0.01, 1e-3, 1e-3, 1e-3, 0.1, 0.1, 0.05])
 
 
 @dataclass(frozen=True)
@@ -107,3 +107,21 @@ class StateSpace:
         phase = np.pi * (joints - self.limits.lower_rad) / span
         joints[...] = self.limits.lower_rad + span / 2.0 * (1.0 - np.cos(phase))
         return state
+
+    def pull_back(self, vector: FloatArray, gradient: FloatArray) -> FloatArray:
+        """Derivative with respect to search vectors of a function of the states (the chain rule).
+
+        Args:
+            vector: ``(..., 9 * arms)``.
+            gradient: ``(..., 9 * arms)`` derivative with respect to the states :meth:`decode` makes of them.
+
+        Returns:
+            ``(..., 9 * arms)``; zero for joints on their limits.
+        """
+        place = np.ascontiguousarray(vector, dtype=np.float64) * self.scale
+        slope = np.ones_like(place)
+        span = self.limits.upper_rad - self.limits.lower_rad
+        phase = np.pi * (split_arms(place)[..., JOINTS] - self.limits.lower_rad) / span
+        split_arms(slope)[..., JOINTS] = np.pi / 2.0 * np.sin(phase)
+        pulled: FloatArray = gradient * slope * self.scale
+        return pulled

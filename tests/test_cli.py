@@ -17,9 +17,11 @@ COMMANDS = [
     ("import", "masks"),
     ("run",),
     ("report",),
+    ("reproduce",),
     ("video",),
     ("list",),
     ("bench", "silhouettes"),
+    ("check", "tracker"),
 ]
 
 
@@ -43,6 +45,7 @@ def test_version_is_the_packages() -> None:
         ("keypoints", "observed"),
         ("presets", "mini"),
         ("suites", "demo"),
+        ("tables", "table1"),
         ("instruments", "large_needle_driver"),
     ],
 )

@@ -21,7 +21,7 @@ from surgbench.dataset.validate import validate
 from surgbench.errors import ConfigError, DatasetError, NotFoundError, SurgbenchError
 from surgbench.generators import generate as module
 from surgbench.generators.corruption import corrupt
-from surgbench.generators.generate import generate, plan_dataset
+from surgbench.generators.generate import Part, generate, plan_dataset
 from surgbench.generators.observations import observe_joints, observe_keypoints
 from surgbench.generators.presets import (
     CORRUPTION_LEVELS,
@@ -231,7 +231,7 @@ def test_keypoints_are_noisy_unordered_and_drop_out(instrument: Instrument, came
 def test_readings_have_bias_drift_and_noise() -> None:
     states = np.zeros((1000, 9))
     settings = Readings(bias_rad=0.02, drift_rad=0.01, noise_rad=0.002)
-    readings = np.stack([observe_joints(states, settings, generator(test=index)) for index in range(100)])
+    readings = np.stack([observe_joints(states, settings, 1 / 30, generator(test=index)) for index in range(100)])
     assert readings.shape == (100, 1000, 3)
     assert readings.std() == pytest.approx(np.sqrt(0.02**2 + 0.01**2 + 0.002**2), rel=0.15)
     assert np.diff(readings, axis=1).std() == pytest.approx(np.sqrt(2 * 0.002**2 + 2 * 0.005 * 0.01**2), rel=0.1)
@@ -381,7 +381,7 @@ def test_killed_and_started_again_gives_the_same_bytes(tmp_path: Path) -> None:
     (tmp_path / "preset.yaml").write_text(text)
     program = (
         "import sys; from pathlib import Path; "
-        "from surgbench.generators.generate import generate, plan_dataset; "
+        "from surgbench.generators.generate import Part, generate, plan_dataset; "
         "from surgbench.generators.presets import load_preset; "
         "generate(plan_dataset(load_preset(Path(sys.argv[1]))), Path(sys.argv[2]))"
     )
@@ -586,3 +586,21 @@ def test_an_impossible_preset_leaves_no_folder(tmp_path: Path, monkeypatch: pyte
 def test_an_unknown_instrument_is_named() -> None:
     with pytest.raises(NotFoundError, match="unknown instrument 'large_nedle_driver'; did you mean"):
         plan_dataset(FEW.model_copy(update={"instrument": "large_nedle_driver"}))
+
+
+def test_a_part_has_the_same_files_as_the_whole(made: Path, tmp_path: Path) -> None:
+    generate(plan_dataset(FEW, Part(("001",), 2)), tmp_path / "part")
+    whole, part = contents(made), contents(tmp_path / "part")
+    pictures = [name for name in part if name.endswith(".png")]
+    assert len(pictures) == 2 * 2 * 3
+    assert all(part[name] == whole[name] for name in pictures)
+    first, all_of_it = (Dataset.open(folder).sequence("001") for folder in (tmp_path / "part", made))
+    assert first.entry == all_of_it.entry.model_copy(update={"frames": 2})
+    for arm in first.arms:
+        for table in ("states", "readings", "keypoints"):
+            np.testing.assert_array_equal(getattr(first, table)(arm), getattr(all_of_it, table)(arm)[:2])
+
+
+def test_a_part_of_something_else_is_refused() -> None:
+    with pytest.raises(ConfigError, match="unknown sequence '002'; did you mean '00"):
+        plan_dataset(FEW, Part(("002",), 2))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import subprocess
@@ -13,8 +12,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from commandline import records, surgbench
 
-from surgbench.cli import main
 from surgbench.dataset import Dataset
 from surgbench.generators.generate import generate, plan_dataset
 from surgbench.generators.presets import load_preset
@@ -29,22 +28,6 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("data") / "mini"
     generate(plan_dataset(load_preset("mini", frames=FRAMES)), folder)
     return folder
-
-
-def surgbench(*arguments: object, expect: int = 0) -> None:
-    """The command as a user types it, in this process."""
-    before = sys.argv
-    sys.argv = ["surgbench", *map(str, arguments)]
-    try:
-        with pytest.raises(SystemExit) as ended:
-            main()
-    finally:
-        sys.argv = before
-    assert ended.value.code == expect
-
-
-def records(folder: Path) -> list[dict[str, Any]]:
-    return [json.loads(path.read_text()) for path in sorted(folder.rglob("*-r*.json"))]
 
 
 TIMES_AND_MACHINE = ("latency", "initialise_s", "environment")
@@ -210,6 +193,17 @@ def test_replay_shows_the_runs_own_samples(dataset: Path, tmp_path: Path) -> Non
     assert [len(trace.states) for trace in traces.values()] == [3, 3]
     best = min(range(3), key=lambda k: traces[2].losses[k][0])
     assert traces[2].states[best][0].tolist() == record["frames"]["state"][2]
+
+
+def test_lags_and_the_filters_time_are_recorded(dataset: Path, tmp_path: Path) -> None:
+    """The still tracker stays where it began while the instrument moves on: it trails behind."""
+    surgbench("run", "--dataset", dataset, "--tracker", f"{STRANGERS}:Still", "--out", tmp_path, "--filter", "none")
+    for record in records(tmp_path):
+        errors, frames = record["errors"], record["frames"]
+        assert errors["lag_ms"] == errors["start_lag_ms"]
+        assert errors["lag_ms"][0] > 0
+        for filter_ms, all_ms in zip(frames["latency_filter_ms"], frames["latency_ms"], strict=True):
+            assert 0 < filter_ms < all_ms
 
 
 def test_dry_run_writes_nothing(dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

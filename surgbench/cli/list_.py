@@ -9,7 +9,7 @@ import typer
 
 def list_names(
     what: Annotated[
-        Literal["trackers", "initialisers", "filters", "keypoints", "presets", "suites", "instruments"],
+        Literal["trackers", "initialisers", "filters", "keypoints", "presets", "suites", "tables", "instruments"],
         typer.Argument(help="What to list."),
     ],
 ) -> None:
@@ -28,6 +28,8 @@ def list_names(
     if what in kinds:
         for name, found in sorted(discover(kinds[what]).items()):
             print(f"{name:16} {found.problem or getattr(found.cls, 'summary', '')}")
+            if found.unavailable is not None:
+                print(f"  not available here: {found.unavailable}")
             for option, default, meaning in describe(found):
                 print(f"  {name}.{option} = {default}" + (f"   {meaning}" if meaning else ""))
         return

@@ -37,6 +37,11 @@ def run(
     set_: Annotated[
         list[str] | None, typer.Option("--set", metavar="NAME.option=value", help="An option; may be repeated.")
     ] = None,
+    sequences: Annotated[
+        int | None,
+        typer.Option(min=1, metavar="N", help="Only N arms or pairs, spread over the dataset."),
+    ] = None,
+    frames: Annotated[int | None, typer.Option(min=1, metavar="N", help="Only the first N frames of each.")] = None,
     repeats: Annotated[int | None, typer.Option(min=1, help="Runs per sequence, each with its own seed.")] = None,
     seed: Annotated[int | None, typer.Option(min=0, help="Default: 0.")] = None,
     jobs: Annotated[int, typer.Option(min=1, help="Runs at a time. Use 1 where latencies matter.")] = 1,
@@ -57,12 +62,13 @@ def run(
     Example: surgbench run --dataset data/mini --tracker cmaes --set cmaes.iterations=5
 
     A tracker runs in a process of its own that is sent observations only. FILE.py:Class runs that file with
-    your rights. A failed run is a record too; the exit code is 1 where every run failed.
+    your rights. A failed run is a record too; the exit code is 1 where every run failed. What this machine lacks
+    something for is skipped and recorded with the reason.
     """
     from rich.console import Console
 
     from surgbench.dataset.reader import Dataset
-    from surgbench.report.records import read_records
+    from surgbench.report.records import SKIPPED, read_records
     from surgbench.report.render import print_leaderboard
     from surgbench.report.rows import derive_rows
     from surgbench.suite.plan import complete
@@ -76,6 +82,8 @@ def run(
         "keypoints": keypoints,
         "filter": filter_,
         "readings": _readings(no_joints, joints, readings),
+        "sequences": sequences,
+        "frames": frames,
     }
     protocol = {"arms": arms, "seed": seed, "repeats": repeats, "timeout_s": timeout, "device": device}
     base = None if suite is None else load_suite(suite)
@@ -84,7 +92,9 @@ def run(
     check_output(out)
     planned = [job for one in asked.rows for job in plan_jobs(complete(one, asked, data), data)]
     plan = make_plan(planned, out, retry_failed)
-    words = f"{len(plan.todo)} runs, {plan.frames} frames to track"
+    words = f"{len(plan.todo) - plan.skipped} runs, {plan.frames} frames to track"
+    if plan.skipped:
+        words += f"; {plan.skipped} cannot be run here"
     if plan.done:
         words += f"; {plan.done} recorded already"
     if plan.retried:
@@ -98,7 +108,7 @@ def run(
     failures: list[dict[str, Any]] = []
 
     def finished(record: dict[str, Any]) -> None:
-        if record["status"] != "ok":
+        if record["status"] not in ("ok", SKIPPED):
             failures.append(record)
 
     if plan.todo:
@@ -112,7 +122,7 @@ def run(
     rows = derive_rows([record for record in read_records([out]) if record.spec_hash in {job.hash for job in planned}])
     print_leaderboard(rows, Console())
     print(out)
-    if plan.todo and len(failures) == len(plan.todo):
+    if failures and len(failures) == len(plan.todo) - plan.skipped:
         raise typer.Exit(1)
 
 

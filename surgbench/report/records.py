@@ -14,6 +14,8 @@ from surgbench.errors import DatasetError
 from surgbench.geometry import FloatArray
 
 RECORD_FORMAT = "surgbench-record-1"
+SKIPPED = "skipped"  # the status of a run that the machine lacks something for
+PER_ARM = ("jitter", "lag_ms", "start_lag_ms")  # errors that have one value for all frames together
 _FORMAT_STEM = "surgbench-record-"
 
 Number = float | None
@@ -69,6 +71,7 @@ class Frames(_Part):
     latency_optimise_ms: list[Number] = []
     latency_keypoints_ms: list[Number] = []
     latency_masks_ms: list[Number] = []
+    latency_filter_ms: list[Number] = []
 
     @model_validator(mode="after")
     def _same_length(self) -> Frames:
@@ -92,7 +95,10 @@ class Record(_Part):
     Attributes:
         path: The file it was read from.
         errors: Error name to ``(T,)`` or ``(T, arms)`` values, NaN where a frame has none; a missing truth
-            leaves the name out. ``jitter`` is one number per arm.
+            leaves the name out. Those of ``PER_ARM`` are one number per arm.
+        unit_frames: Frames that were asked for.
+        dataset_frames: Frames of all units of the dataset; ``None`` in records of old versions.
+        floor: The filter knew the truth.
     """
 
     path: Path
@@ -104,13 +110,15 @@ class Record(_Part):
     error: str | None = None
     dataset_path: str | None = None
     unit_frames: int
+    dataset_frames: int | None = None
+    floor: bool = False
     frames: Frames
     errors: dict[str, FloatArray]
 
     @model_validator(mode="after")
     def _errors_match(self) -> Record:
         for key, values in self.errors.items():
-            if key != "jitter" and len(values) != len(self.frames.index):
+            if key not in PER_ARM and len(values) != len(self.frames.index):
                 raise ValueError(f"'errors.{key}' has {len(values)} entries but 'index' has {len(self.frames.index)}")
         return self
 
@@ -166,8 +174,8 @@ def _error_arrays(errors: dict[str, Any]) -> dict[str, FloatArray]:
 def read_records(directories: Iterable[Path]) -> list[Record]:
     """All records below some folders, each run once, in a fixed order.
 
-    A run that is there twice (the same ``spec_hash``) counts once: a sound record before a failed one, then
-    the one found first, folders in the order given.
+    A run that is there twice (the same ``spec_hash``) counts once: a sound record before a failed one, a failed one
+    before a skipped one, then the one found first, folders in the order given.
 
     Raises:
         DatasetError: A folder is missing or has no record, or a file below it is damaged.
@@ -181,6 +189,10 @@ def read_records(directories: Iterable[Path]) -> list[Record]:
             raise DatasetError(f"{directory}: holds no records (*.json with format {RECORD_FORMAT})")
         for record in found:
             known = chosen.get(record.spec_hash)
-            if known is None or (known.status != "ok" and record.status == "ok"):
+            if known is None or _worth(record) < _worth(known):
                 chosen[record.spec_hash] = record
     return sorted(chosen.values(), key=lambda r: (r.spec.row_id, r.spec.unit, r.spec.repeat, r.spec_hash))
+
+
+def _worth(record: Record) -> int:
+    return {"ok": 0, SKIPPED: 2}.get(record.status, 1)

@@ -13,6 +13,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from surgbench.report.records import SKIPPED
 from surgbench.report.rows import INSTRUMENT_COLUMNS, Row
 
 if TYPE_CHECKING:
@@ -50,7 +51,12 @@ class Column:
         value = row[self.key]
         if value is None:
             return NO_VALUE
-        return str(value) if self.decimals is None else f"{value * self.scale:.{self.decimals}f}"
+        if self.decimals is None:
+            return str(value)
+        shown = value * self.scale
+        if self.decimals == 0 and 0 < shown < 1:  # little is not nothing
+            return f"{shown:.1g}"
+        return f"{shown:.{self.decimals}f}"
 
 
 ROW = Column("row_id", "row", "row")
@@ -70,6 +76,7 @@ COLUMNS = (
     Column("q2_error_rad", "q2\nrad", "q2 [rad]", 3, best=True),
     Column("q3_error_rad", "q3\nrad", "q3 [rad]", 3, best=True),
     Column("keypoint_error_px", "tips\npx", "keypoints [px]", 1, best=True),
+    Column("start_lag_ms", "start\nlag ms", "start lag [ms]", 1, from_width=130),
     Column("latency_ms", "time\nms", "latency [ms]", 1, best=True),
     Column("latency_ms_p95", "p95\nms", "p95 [ms]", 1, from_width=100),
 )
@@ -94,7 +101,8 @@ def markdown(rows: Sequence[Row]) -> str:
     parts = []
     for title, group in _groups(rows):
         columns, best = _shown(group), _best(group)
-        if _failures(group):
+        unsound = _unsound(group)
+        if unsound:
             columns.append(STATUS)
         lines = [
             f"### {_escape(title)}",
@@ -109,7 +117,7 @@ def markdown(rows: Sequence[Row]) -> str:
                 for column, cell in zip(columns, cells, strict=True)
             ]
             lines.append(_markdown_line(marked))
-        failures = [f"- {_escape(line)}" for line in _failures(group)]
+        failures = [f"- {_escape(_reason(row))}" for row in unsound]
         parts.append("\n".join([*lines, *([""] if failures else []), *failures]) + "\n")
     return "\n".join(parts)
 
@@ -148,10 +156,10 @@ def print_leaderboard(rows: Sequence[Row], console: Console) -> None:
             )
         for row in group:
             cells = [Text(column.text(row), style="bold" if _is_best(column, row, best) else "") for column in columns]
-            sheet.add_row(*cells, style="red" if row["status"] != "ok" else None)
+            sheet.add_row(*cells, style=_style(row))
         console.print(sheet)
-        for line in _failures(group):
-            console.print(Text(line, style="red"), soft_wrap=True)
+        for row in _unsound(group):
+            console.print(Text(_reason(row), style=_style(row) or ""), soft_wrap=True)
 
 
 def _groups(rows: Sequence[Row]) -> Iterator[tuple[str, list[Row]]]:
@@ -165,19 +173,19 @@ def _groups(rows: Sequence[Row]) -> Iterator[tuple[str, list[Row]]]:
 def _shown(rows: list[Row], width: int | None = None) -> list[Column]:
     """Columns worth their room in ``width`` characters (``None``: any): not those without a value."""
     ids = [row["row_id"] for row in rows]
-    ambiguous = len(set(ids)) < len(ids)
+    # Rows of one name can be told apart by their variant alone, and a floor must be known for what it is.
+    telling = len(set(ids)) < len(ids) or any(row["floor"] for row in rows)
     return [
         column
         for column in COLUMNS
-        # Rows of one name can be told apart by their variant alone.
-        if (width is None or width >= column.from_width or (column is VARIANT and ambiguous))
+        if (width is None or width >= column.from_width or (column is VARIANT and telling))
         and (column is ROW or any(row[column.key] is not None for row in rows))
         and (column.key != "coverage" or any(row["coverage"] < 1 for row in rows))
     ]
 
 
 def _best(rows: list[Row]) -> dict[str, Any]:
-    sound = [row for row in rows if row["status"] == "ok"]
+    sound = [row for row in rows if _ranks(row)]
     if len(sound) < 2:
         return {}
     values = {column.key: [row[column.key] for row in sound if row[column.key] is not None] for column in COLUMNS}
@@ -186,12 +194,23 @@ def _best(rows: list[Row]) -> dict[str, Any]:
 
 def _is_best(column: Column, row: Row, best: dict[str, Any]) -> bool:
     value = row[column.key]
-    return column.best and row["status"] == "ok" and value is not None and value == best.get(column.key)
+    return column.best and _ranks(row) and value is not None and value == best.get(column.key)
 
 
-def _failures(rows: list[Row]) -> list[str]:
-    failed = [row for row in rows if row["status"] != "ok"]
-    return [f"{row['row_id']}: {row['status']}: {row['error'] or 'no message'}" for row in failed]
+def _ranks(row: Row) -> bool:
+    return row["status"] == "ok" and not row["floor"]
+
+
+def _unsound(rows: list[Row]) -> list[Row]:
+    return [row for row in rows if row["status"] != "ok"]
+
+
+def _reason(row: Row) -> str:
+    return f"{row['row_id']}: {row['status']}: {row['error'] or 'no message'}"
+
+
+def _style(row: Row) -> str | None:
+    return {"ok": None, SKIPPED: "dim"}.get(row["status"], "red")
 
 
 def _markdown_line(cells: list[str]) -> str:

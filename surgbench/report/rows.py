@@ -10,22 +10,22 @@ import numpy as np
 
 from surgbench.geometry import FloatArray
 from surgbench.metrics import POSE_ERRORS, summarise
-from surgbench.report.records import Record, read_records
+from surgbench.report.records import PER_ARM, SKIPPED, Record, read_records
 
 Row = dict[str, Any]
 
 COMMON_COLUMNS = (
     "row_id", "task", "dataset", "tracker", "variant", "settings_hash", "status", "error", "sequences", "frames",
     "repeats", "coverage", "latency_ms", "latency_ms_p95", "latency_optimise_ms", "latency_keypoints_ms",
-    "latency_masks_ms", "calibration_ratio",
+    "latency_masks_ms", "latency_filter_ms", "calibration_ratio",
 )  # fmt: skip
-SETTING_COLUMNS = ("arms", "iterations", "readings", "initialiser", "keypoints", "filter", "views", "level")
+SETTING_COLUMNS = ("arms", "iterations", "readings", "initialiser", "keypoints", "filter", "floor", "views", "level")
 ERRORS = (*POSE_ERRORS[:-1], "mask_error", "mask_error_true", POSE_ERRORS[-1])
 INSTRUMENT_COLUMNS = (
     *COMMON_COLUMNS,
     *SETTING_COLUMNS,
     *(f"{error}{suffix}" for error in ERRORS for suffix in ("", "_std", "_sem")),
-    "jitter",
+    *PER_ARM,
     "lost_frames",
 )
 
@@ -46,8 +46,9 @@ def derive_rows(records: Sequence[Record]) -> list[Row]:
         records: In any order; it does not matter.
 
     Returns:
-        Rows with the keys ``INSTRUMENT_COLUMNS``, ``None`` where there is no value; by dataset and arms, sound rows
-        before failed ones, then by mask error. Two datasets of one name get the start of their hash added to it.
+        Rows with the keys ``INSTRUMENT_COLUMNS``, ``None`` where there is no value; by dataset and arms, sound rows,
+        then floors, then failed and skipped ones, each by mask error. Two datasets of one name get the start of
+        their hash added to it.
     """
     groups: dict[tuple[str, str, str, int], list[Record]] = {}
     for record in sorted(records, key=lambda r: (r.spec.unit, r.spec.repeat, r.spec_hash)):
@@ -69,6 +70,7 @@ def _rank(row: Row) -> tuple[Any, ...]:
         row["dataset"],
         row["arms"] != "single",
         row["status"] != "ok",
+        row["floor"],
         error is None,
         0.0 if error is None else error,
         row["row_id"],
@@ -77,7 +79,9 @@ def _rank(row: Row) -> tuple[Any, ...]:
 
 def _row(records: list[Record]) -> Row:
     spec = records[0].spec
-    failed = next((record for record in records if record.status != "ok"), None)
+    # What failed says more than what was skipped.
+    unsound = sorted((r for r in records if r.status != "ok"), key=lambda r: r.status == SKIPPED)
+    failed = unsound[0] if unsound else None
     estimated = sum(len(record.frames.state) for record in records)
     latency = _pooled(records, "latency_ms")
     row: Row = {
@@ -92,12 +96,13 @@ def _row(records: list[Record]) -> Row:
         "sequences": len({record.spec.unit for record in records}),
         "frames": estimated,
         "repeats": len({record.spec.repeat for record in records}),
-        "coverage": estimated / max(1, sum(record.unit_frames for record in records)),
+        "coverage": estimated / max(1, _asked(records)),
         "latency_ms": _median(latency),
         "latency_ms_p95": float(np.percentile(latency, 95)) if latency.size else None,
         "latency_optimise_ms": _median(_pooled(records, "latency_optimise_ms")),
         "latency_keypoints_ms": _median(_pooled(records, "latency_keypoints_ms")),
         "latency_masks_ms": _median(_pooled(records, "latency_masks_ms")),
+        "latency_filter_ms": _median(_pooled(records, "latency_filter_ms")),
         "calibration_ratio": None,
         "arms": "single" if len(spec.arms) == 1 else "dual",
         "iterations": spec.tracker.options.get("iterations"),
@@ -105,15 +110,24 @@ def _row(records: list[Record]) -> Row:
         "initialiser": spec.initialiser.name,
         "keypoints": spec.keypoints.name,
         "filter": spec.filter.name,
+        "floor": records[0].floor,
         "views": spec.views,
         "level": spec.level,
     }
     for error in ERRORS:
         summary = summarise(_by_sequence(records, error))
         row |= {error: summary.mean, f"{error}_std": summary.std, f"{error}_sem": summary.sem}
-    row["jitter"] = summarise(_by_sequence(records, "jitter")).mean
+    row |= {name: summarise(_by_sequence(records, name)).mean for name in PER_ARM}
     row["lost_frames"] = sum(sum(record.frames.lost) for record in records)
     return row
+
+
+def _asked(records: list[Record]) -> int:
+    """Frames of the whole dataset, each repeat counted; of the runs alone where their records are of old versions."""
+    everything = [record.dataset_frames for record in records if record.dataset_frames is not None]
+    if not everything:
+        return sum(record.unit_frames for record in records)
+    return max(everything) * len({record.spec.repeat for record in records})
 
 
 def _by_sequence(records: list[Record], error: str) -> list[list[FloatArray]]:

@@ -16,9 +16,9 @@ from surgbench.dataset.masks import read_image
 from surgbench.dataset.reader import Dataset, Sequence, Unit
 from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument
-from surgbench.report.records import RECORD_FORMAT
+from surgbench.report.records import RECORD_FORMAT, SKIPPED
 from surgbench.silhouette import Reference, SilhouetteEvaluator
-from surgbench.state import STATE_SIZE
+from surgbench.state import POSITION, STATE_SIZE
 from surgbench.suite.child import Child, ChildProblemError
 from surgbench.suite.plan import Job, Plug, Readings, Settings
 from surgbench.suite.worker import Answer, Setup
@@ -43,11 +43,13 @@ class UnitData:
         self._keypoints = [self.sequence.keypoints(arm) for arm in unit.arms]
         self.truth = self._stack([self.sequence.states(arm) for arm in unit.arms])
         self._joints = self._joint_readings(readings)
+        # From the same encoders as the joints' readings, and never better than those.
+        self._kinematics = None if readings == "none" else self._stack([self.sequence.kinematics(a) for a in unit.arms])
         self._limits = self.scene().joint_limits
 
     @staticmethod
     def _stack(per_arm: list[FloatArray | None]) -> FloatArray | None:
-        """``(T, arms, n)`` from one ``(T, n)`` per arm."""
+        """``(T, arms, ...)`` from one ``(T, ...)`` per arm."""
         present = [values for values in per_arm if values is not None]
         return np.stack(present, axis=1) if len(present) == len(per_arm) else None
 
@@ -65,6 +67,7 @@ class UnitData:
 
     def scene(self) -> Scene:
         """What stays the same over the sequence."""
+        bases = [base for arm in self.unit.arms if (base := self.sequence.T_cam_base(arm)) is not None]
         empty = np.zeros((self.camera.height, self.camera.width), dtype=bool)
         return Scene(
             instruments=self.instruments,
@@ -73,6 +76,7 @@ class UnitData:
             dt_s=self.sequence.dt_s,
             arms=len(self.unit.arms),
             speed=self.sequence.speed,
+            T_cam_base=np.stack(bases) if bases else None,
         )
 
     def observation(self, frame: int, mask: Mask) -> Observation:
@@ -85,21 +89,26 @@ class UnitData:
         if self._joints is not None and not np.isnan(self._joints[frame]).any():
             clipped = self._limits.clip(self._joints[frame])
             joints = clipped[0] if len(clipped) == 1 else clipped
+        kinematics = None
+        if self._kinematics is not None and not np.isnan(self._kinematics[frame]).any():
+            kinematics = self._kinematics[frame]
         return Observation(
             index=frame,
             timestamp_s=float(self.sequence.timestamps_s[frame]),
             views=(View(self.camera, np.eye(4), mask, keypoints=keypoints, image=image),),
             start=np.zeros(STATE_SIZE * len(self.unit.arms)),
             joints=joints,
+            kinematics=kinematics,
         )
 
 
 def child_setup(job: Job, scene: Scene) -> Setup:
     """What the child of a job is told before the first frame."""
     settings: Settings = job.settings
+    # The dataset's name and not its hash, so that a part of it is run with the same random numbers.
     axes: dict[str, str | int] = {
         "seed": settings.protocol.seed,
-        "dataset": job.dataset_sha256,
+        "dataset": job.dataset_name,
         "unit": job.unit.id,
         "repeat": job.repeat,
     }
@@ -116,6 +125,43 @@ def child_setup(job: Job, scene: Scene) -> Setup:
         own(settings.tracker),
         own(settings.initialiser),
     )
+
+
+def true_states(job: Job, data: UnitData) -> FloatArray | None:
+    """What a filter with ``needs_truth`` is given, ``(T, 9 * arms)``; ``None`` for any other."""
+    if data.truth is None or not job.settings.filter.needs_truth:
+        return None
+    return data.truth.reshape(data.frames, -1)
+
+
+def skipped(job: Job, dataset: Dataset, environment: dict[str, Any], reason: str) -> dict[str, Any]:
+    """The record of a job that this machine cannot run, for ``reason``, one line."""
+    return {
+        **_head(job, dataset, environment),
+        "status": SKIPPED,
+        "error": reason,
+        "traceback": None,
+        "initialise_s": None,
+        "frames": _frames([]),
+        "errors": {},
+    }
+
+
+def _head(job: Job, dataset: Dataset, environment: dict[str, Any]) -> dict[str, Any]:
+    """What a record says of its job."""
+    return {
+        "format": RECORD_FORMAT,
+        "spec_hash": job.hash,
+        "settings_hash": job.settings.hash,
+        "variant": job.settings.variant,
+        "floor": job.settings.filter.needs_truth,
+        "spec": job.spec(),
+        "references": job.settings.references,
+        "environment": environment,
+        "dataset_path": str(dataset.path.resolve()),
+        "dataset_frames": job.dataset_frames,
+        "unit_frames": job.frames,
+    }
 
 
 def execute(
@@ -156,7 +202,7 @@ def execute(
             raise ChildProblemError("failed", "stopped before it began")
         child.send("setup", child_setup(job, data.scene()))
         child.receive()
-        for frame in range(data.frames):
+        for frame in range(job.frames):
             if stopping.is_set():
                 raise ChildProblemError("failed", "stopped")
             mask = data.sequence.mask(job.unit.kind, frame)
@@ -165,7 +211,7 @@ def execute(
                 truth = None
                 if data.truth is not None and job.settings.initialiser.needs_truth:
                     truth = data.truth[0].reshape(-1)
-                child.send("first", observation, truth)
+                child.send("first", observation, truth, true_states(job, data))
                 while (message := child.receive())[0] == "progress":
                     initialising(message[1])
                 initialising(1.0)
@@ -182,19 +228,11 @@ def execute(
         children.discard(child)
         child.stop()
     return {
-        "format": RECORD_FORMAT,
-        "spec_hash": job.hash,
-        "settings_hash": job.settings.hash,
-        "variant": job.settings.variant,
-        "spec": job.spec(),
-        "references": job.settings.references,
+        **_head(job, dataset, environment),
         "status": status,
         "error": error,
         "traceback": trace,
-        "environment": environment,
-        "dataset_path": str(dataset.path.resolve()),
         "initialise_s": initialise_s,
-        "unit_frames": data.frames,
         "frames": _frames(answers),
         "errors": _errors(data, answers, mask_errors),
     }
@@ -224,7 +262,9 @@ def _errors(
 ) -> dict[str, list[Any] | None]:
     """Errors of all frames; ``None`` where there is no truth to hold them against."""
     errors: dict[str, list[Any] | None] = {name: None for name in metrics.POSE_ERRORS}
-    states = np.array([answer.state for answer in answers]).reshape(len(answers), len(data.unit.arms), STATE_SIZE)
+    shape = (len(answers), len(data.unit.arms), STATE_SIZE)
+    states = np.array([answer.state for answer in answers]).reshape(shape)
+    starts = np.array([answer.start for answer in answers]).reshape(shape)
     if data.truth is not None:
         per_arm = [
             metrics.pose_errors(instrument, data.camera, states[:, arm], data.truth[: len(answers), arm])
@@ -235,8 +275,19 @@ def _errors(
     errors["mask_error"] = [observed for observed, _ in mask_errors]
     errors["mask_error_true"] = None if data.truth is None else [clean for _, clean in mask_errors]
     tips = [instrument.tips_cam(states[:, arm]) for arm, instrument in enumerate(data.instruments)]
+    errors["lag_ms"] = _lags(states, data)
+    errors["start_lag_ms"] = _lags(starts, data)
     errors["jitter"] = _finite(np.array([metrics.jitter(arm, data.sequence.dt_s) for arm in tips]))
     return errors
+
+
+def _lags(states: FloatArray, data: UnitData) -> list[Any] | None:
+    """Of each arm, milliseconds that the wrist of ``(T, arms, 9)`` states trails behind."""
+    if data.truth is None:
+        return None
+    places, true_places = states[..., POSITION], data.truth[: len(states), :, POSITION]
+    lags = [metrics.lag(places[:, arm], true_places[:, arm], data.sequence.dt_s) for arm in range(states.shape[1])]
+    return _finite(1e3 * np.array(lags))
 
 
 def _finite(values: FloatArray) -> list[Any]:

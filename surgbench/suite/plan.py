@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from surgbench.dataset.reader import Dataset, Unit
@@ -28,6 +29,8 @@ class Row(BaseModel):
         keypoints: Keypoint source.
         readings: Which joint readings the tracker is given.
         options: Plug-in name to its options, for example ``{"cmaes": {"iterations": 5}}``.
+        sequences: Only so many units, spread evenly over the dataset's from the first to the last.
+        frames: Only the first so many frames of each.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -39,6 +42,8 @@ class Row(BaseModel):
     keypoints: str = "observed"
     readings: Readings = "none"
     options: dict[str, dict[str, Any]] = {}
+    sequences: Annotated[int, Field(ge=1)] | None = None
+    frames: Annotated[int, Field(ge=1)] | None = None
 
 
 class Protocol(BaseModel):
@@ -70,6 +75,7 @@ class Plug:
     options: dict[str, Any]
     changed: dict[str, Any]
     needs_truth: bool
+    unavailable: str | None = None
 
     def spec(self) -> dict[str, Any]:
         """Its part of a record's specification."""
@@ -78,7 +84,13 @@ class Plug:
 
 @dataclass(frozen=True)
 class Settings:
-    """One row, complete: every option that the estimates depend on has its value."""
+    """One row, complete: every option that the estimates depend on has its value.
+
+    Attributes:
+        sequences: How many of the dataset's units are run; ``None`` for all. Which ones are run changes no estimate,
+            so that it is no part of the specification: a slice's records are those of the whole.
+        frames_limit: How many frames of each unit are run; ``None`` where all units are run to their end.
+    """
 
     row_id: str
     tracker: Plug
@@ -87,6 +99,8 @@ class Settings:
     keypoints: Plug
     readings: Readings
     protocol: Protocol
+    sequences: int | None = None
+    frames_limit: int | None = None
 
     def spec(self) -> dict[str, Any]:
         """The part of a record's specification that is the same for all units and repeats."""
@@ -102,12 +116,27 @@ class Settings:
         }
         if self.protocol.device != "cpu":  # so that the hashes of runs without a GPU do not know of GPUs
             spec["device"] = self.protocol.device
+        if self.frames_limit is not None:  # likewise for whole units
+            spec["frames_limit"] = self.frames_limit
         return spec
+
+    @property
+    def plugs(self) -> tuple[Plug, ...]:
+        """All plug-ins of the row."""
+        return self.tracker, self.initialiser, self.filter, self.keypoints
 
     @property
     def references(self) -> dict[str, str]:
         """By what each plug-in was asked for: a name, or a file that may lie elsewhere tomorrow."""
-        return {plug.kind: plug.reference for plug in (self.tracker, self.initialiser, self.filter, self.keypoints)}
+        return {plug.kind: plug.reference for plug in self.plugs}
+
+    @property
+    def unavailable(self) -> str | None:
+        """Why the row cannot be run on this machine, one line; ``None`` where it can."""
+        for plug in self.plugs:
+            if plug.unavailable is not None:
+                return f"{plug.kind} '{plug.name}' cannot run here: {plug.unavailable}"
+        return None
 
     @property
     def hash(self) -> str:
@@ -117,7 +146,10 @@ class Settings:
     @property
     def variant(self) -> str:
         """What differs from the defaults, in a few words."""
-        words = [f"{key}={value}" for key, value in _flat(self.tracker.changed)]
+        words = ["FLOOR, NOT FOR RANKING: every search starts from the truth"] if self.filter.needs_truth else []
+        words += [f"{key}={value}" for key, value in _flat(self.tracker.changed)]
+        if self.frames_limit is not None:
+            words.append("first frame" if self.frames_limit == 1 else f"first {self.frames_limit} frames")
         if self.protocol.seed:
             words.append(f"seed {self.protocol.seed}")
         if self.readings != "none":
@@ -133,13 +165,19 @@ class Settings:
 
 @dataclass(frozen=True)
 class Job:
-    """One run: one tracker with its settings on one unit, one repeat."""
+    """One run: one tracker with its settings on one unit, one repeat.
+
+    Attributes:
+        frames: How many are to be tracked.
+        dataset_frames: How many there are in all of the dataset's units.
+    """
 
     settings: Settings
     dataset_name: str
     dataset_sha256: str
     unit: Unit
     frames: int
+    dataset_frames: int
     repeat: int
 
     def spec(self) -> dict[str, Any]:
@@ -183,7 +221,8 @@ def _plug(kind: Kind, reference: str, options: dict[str, dict[str, Any]]) -> Plu
     effective = {} if config is None else config.model_dump(mode="json")
     changed = {} if config is None else config.model_dump(mode="json", exclude_defaults=True)
     needs_truth = bool(getattr(found.cls, "needs_truth", False))
-    return Plug(kind, reference, found.name, f"{found.source}@{found.hash}", effective, changed, needs_truth)
+    source = f"{found.source}@{found.hash}"
+    return Plug(kind, reference, found.name, source, effective, changed, needs_truth, found.unavailable)
 
 
 def complete(row: Row, protocol: Protocol, dataset: Dataset) -> Settings:
@@ -207,27 +246,48 @@ def complete(row: Row, protocol: Protocol, dataset: Dataset) -> Settings:
     for name in row.options:
         if name not in names:
             raise ConfigError(f"--set {name}.…: '{name}' takes no part in this run (taking part: {', '.join(names)})")
-    if initialiser.needs_truth and not has_truth:
-        raise ConfigError(
-            f"initialiser '{initialiser.name}' needs ground truth, which '{dataset.name}' has not; "
-            "use --initialiser random"
-        )
+    for plug, other in ((initialiser, "random"), (state_filter, "kalman")):
+        if plug.needs_truth and not has_truth:
+            raise ConfigError(
+                f"{plug.kind} '{plug.name}' needs ground truth, which '{dataset.name}' has not; "
+                f"use --{plug.kind} {other}"
+            )
     if row.readings == "true" and not has_truth:
         raise ConfigError(f"--readings true needs ground truth, which '{dataset.name}' has not; use --joints")
     if row.readings == "noisy" and not has_readings:
         raise ConfigError(f"'{dataset.name}' has no joint readings; use --no-joints")
     row_id = row.row_id or tracker.name + ("-joints" if row.readings != "none" else "")
-    return Settings(row_id, tracker, initialiser, state_filter, keypoints, row.readings, protocol)
+    cut = row.frames is not None and any(row.frames < sequence.frames for sequence in dataset.sequences)
+    plugs = (tracker, initialiser, state_filter, keypoints)
+    return Settings(row_id, *plugs, row.readings, protocol, row.sequences, row.frames if cut else None)
+
+
+def spread(total: int, count: int | None) -> list[int]:
+    """``count`` of ``total`` places, evenly from the first to the last; all where there are fewer, or for ``None``.
+
+    On a dataset that ends with its fast sequences, and whose arms alternate, that takes some of each.
+    """
+    return sorted({round(place) for place in np.linspace(0, total - 1, min(count or total, total))})
 
 
 def jobs(settings: Settings, dataset: Dataset) -> list[Job]:
-    """One job per unit and repeat, in the dataset's order.
+    """One job per unit of the row's slice and repeat, in the dataset's order.
 
     Raises:
         DatasetError: The dataset has nothing to run with this number of arms.
     """
+    units = dataset.units(settings.protocol.arms)
+    lengths = [dataset.sequence(unit.sequence).frames for unit in units]
     return [
-        Job(settings, dataset.name, dataset.hash, unit, dataset.sequence(unit.sequence).frames, repeat)
-        for unit in dataset.units(settings.protocol.arms)
+        Job(
+            settings,
+            dataset.name,
+            dataset.hash,
+            units[place],
+            min(lengths[place], settings.frames_limit or lengths[place]),
+            sum(lengths),
+            repeat,
+        )
+        for place in spread(len(units), settings.sequences)
         for repeat in range(settings.protocol.repeats)
     ]

@@ -9,7 +9,7 @@ import numpy as np
 from surgbench.contract import Trace
 from surgbench.dataset.reader import Dataset, Unit
 from surgbench.errors import SurgbenchError
-from surgbench.suite.execute import UnitData, child_setup
+from surgbench.suite.execute import UnitData, child_setup, true_states
 from surgbench.suite.plan import Job, Protocol, Row, complete
 from surgbench.suite.worker import Loop
 
@@ -39,7 +39,7 @@ def replay_traces(record: dict[str, Any], dataset: Dataset, frames: list[int]) -
     setup = child_setup(job, data.scene())
     loop = Loop(setup)
     first = data.observation(0, data.sequence.mask(job.unit.kind, 0))
-    loop.begin(first, np.array(recorded["start"][0]))
+    loop.begin(first, np.array(recorded["start"][0]), true_states(job, data))
     traces: dict[int, Trace] = {}
     last = min(max(frames, default=-1), len(recorded["index"]) - 1)
     for frame in range(last + 1):
@@ -68,8 +68,9 @@ def _job(record: dict[str, Any], dataset: Dataset) -> Job:
         keypoints=references["keypoints"],
         readings=spec["readings"],
         options={plug["name"]: plug["options"] for plug in plugs if plug["options"]},
+        frames=spec.get("frames_limit"),
     )
     protocol = Protocol(seed=spec["seed"], device=spec.get("device", "cpu"))
     unit = Unit(spec["unit"], spec["sequence"], tuple(spec["arms"]), spec["mask_kind"])
-    frames = dataset.sequence(unit.sequence).frames
-    return Job(complete(row, protocol, dataset), dataset.name, dataset.hash, unit, frames, spec["repeat"])
+    frames, everything = record["unit_frames"], record.get("dataset_frames", 0)
+    return Job(complete(row, protocol, dataset), dataset.name, dataset.hash, unit, frames, everything, spec["repeat"])

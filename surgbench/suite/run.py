@@ -13,10 +13,10 @@ from typing import Any
 from surgbench.dataset.reader import Dataset
 from surgbench.errors import DatasetError, SurgbenchError
 from surgbench.files import PARTIAL_SUFFIX, canonical_json, write_atomic
-from surgbench.report.records import RECORD_FORMAT
+from surgbench.report.records import RECORD_FORMAT, SKIPPED
 from surgbench.suite.child import Child
 from surgbench.suite.environment import environment
-from surgbench.suite.execute import execute
+from surgbench.suite.execute import execute, skipped
 from surgbench.suite.plan import Job
 
 
@@ -25,19 +25,21 @@ class Plan:
     """What a call of ``run`` will do.
 
     Attributes:
-        todo: Jobs without a sound record.
+        todo: Jobs without a sound record, those that this machine cannot run among them.
         done: Number of jobs whose record is there already.
         retried: Number of jobs among ``todo`` whose record says that they failed.
+        skipped: Number of jobs among ``todo`` that this machine cannot run.
     """
 
     todo: tuple[Job, ...]
     done: int
     retried: int
+    skipped: int
 
     @property
     def frames(self) -> int:
         """Frames to be tracked."""
-        return sum(job.frames for job in self.todo)
+        return sum(job.frames for job in self.todo if job.settings.unavailable is None)
 
 
 def check_output(out: Path) -> None:
@@ -90,10 +92,10 @@ def make_plan(jobs: list[Job], out: Path, retry_failed: bool = True) -> Plan:
         status = _recorded_status(out / job.path, job)
         if status is None or (status != "ok" and retry_failed):
             todo.append(job)
-            retried += status is not None
+            retried += status not in (None, SKIPPED) and job.settings.unavailable is None
         else:
             done += 1
-    return Plan(tuple(todo), done, retried)
+    return Plan(tuple(todo), done, retried, sum(job.settings.unavailable is not None for job in todo))
 
 
 def _recorded_status(path: Path, job: Job) -> str | None:
@@ -134,9 +136,15 @@ def run(
     children: set[Child] = set()
     stopping = threading.Event()
 
+    def written(job: Job, record: dict[str, Any]) -> dict[str, Any]:
+        _write(out / job.path, (canonical_json(record) + "\n").encode())
+        return record
+
     def one(job: Job) -> dict[str, Any] | None:
         if stopping.is_set():
             return None
+        where = environment(job.settings.protocol.device)
+        unavailable = job.settings.unavailable
         label = f"{job.settings.row_id} {job.unit.id}: finding the instrument"
         frames_done = 0.0
 
@@ -146,10 +154,12 @@ def run(
             advance(amount)
 
         try:
+            if unavailable is not None:
+                return written(job, skipped(job, dataset, where, unavailable))
             record = execute(
                 job,
                 dataset,
-                environment(job.settings.protocol.device),
+                where,
                 count,
                 lambda fraction: stage(label, fraction),
                 children,
@@ -158,11 +168,10 @@ def run(
             if stopping.is_set():
                 return None
             advance(job.frames - frames_done)
-            _write(out / job.path, (canonical_json(record) + "\n").encode())
+            return written(job, record)
         except BaseException:
             stopping.set()  # before this thread takes the next job
             raise
-        return record
 
     with ThreadPoolExecutor(max_workers=workers) as pool:
         waiting: set[Future[dict[str, Any] | None]] = {pool.submit(one, job) for job in plan.todo}

@@ -53,7 +53,7 @@ class Setup:
 
 @dataclass(frozen=True)
 class Answer:
-    """One frame's estimate and what it took."""
+    """One frame's estimate and what it took; ``latency_filter_ms`` is the filter's ``predict`` and ``update``."""
 
     start: FloatArray
     state: FloatArray
@@ -62,6 +62,7 @@ class Answer:
     latency_ms: float
     latency_optimise_ms: float
     latency_keypoints_ms: float
+    latency_filter_ms: float
 
 
 class InvalidAnswerError(Exception):
@@ -132,9 +133,18 @@ class Loop:
             check_state(state, self._size, f"initialiser '{setup.initialiser.name}'"), scene.joint_limits
         )
 
-    def begin(self, observation: Observation, state: FloatArray) -> None:
-        """Start at the first frame's state: warm up on a throw-away tracker, then reset everything."""
+    def begin(self, observation: Observation, state: FloatArray, truth: FloatArray | None = None) -> None:
+        """Start at the first frame's state: warm up on a throw-away tracker, then reset everything.
+
+        Args:
+            observation: The first frame.
+            state: Its state, ``(9 * arms,)``.
+            truth: ``(T, 9 * arms)``, only for a filter with ``needs_truth``; then it starts the first frame too.
+        """
         setup, scene = self._setup, self._scene
+        if truth is not None:
+            self._filter.give_truth(truth)
+            state = clip_joints(truth[0], scene.joint_limits)
         self._keypoints.reset(scene)
         observation = self._with_keypoints(observation)[0]
         # Compilation and caches belong to nobody's latency.
@@ -150,6 +160,7 @@ class Loop:
         """One frame. ``observation.start`` is filled in here."""
         begin = time.perf_counter()
         start = self._first if observation.index == 0 else self._filter.predict()
+        filter_s = time.perf_counter() - begin
         start = check_state(start, self._size, f"filter '{self._setup.filter.name}'")
         if observation.joints is not None:
             split_arms(start)[:, JOINTS] = observation.joints
@@ -163,7 +174,9 @@ class Loop:
         estimate = answer if isinstance(answer, Estimate) else Estimate(answer)
         state = check_state(estimate.state, self._size, f"tracker '{self._setup.tracker.name}'")
         confidence = check_confidence(estimate.confidence, f"tracker '{self._setup.tracker.name}'")
+        before = time.perf_counter()
         self._filter.update(state.copy())
+        filter_s += time.perf_counter() - before
         return Answer(
             start=start,
             state=state,
@@ -172,6 +185,7 @@ class Loop:
             latency_ms=1e3 * (time.perf_counter() - begin),
             latency_optimise_ms=1e3 * optimise_s,
             latency_keypoints_ms=1e3 * keypoints_s,
+            latency_filter_ms=1e3 * filter_s,
         )
 
     def _with_keypoints(self, observation: Observation) -> tuple[Observation, float]:
@@ -196,7 +210,8 @@ def end_with_parent(parent: int) -> None:
 def serve(connection: Connection) -> None:
     """Answer the parent's messages until it hangs up.
 
-    They are ``("setup", Setup)``, ``("first", observation, truth)`` and ``("step", observation)``.
+    They are ``("setup", Setup)``, ``("first", observation, truth of this frame for the initialiser, truth of all frames
+    for the filter)``, the two ``None`` unless the plug-in needs them, and ``("step", observation)``.
     """
     loop: Loop | None = None
     while True:
@@ -212,10 +227,12 @@ def serve(connection: Connection) -> None:
             assert loop is not None
             if kind == "first":
                 begin = time.perf_counter()
-                observation, truth = content
-                state = loop.initialise(observation, truth, lambda fraction: connection.send(("progress", fraction)))
+                observation, first_truth, truth = content
+                state = loop.initialise(
+                    observation, first_truth, lambda fraction: connection.send(("progress", fraction))
+                )
                 elapsed_s = time.perf_counter() - begin
-                loop.begin(observation, state)
+                loop.begin(observation, state, truth)
                 connection.send(("initialised", state, elapsed_s))
             else:
                 connection.send(("answer", loop.step(*content)))

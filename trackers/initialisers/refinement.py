@@ -18,6 +18,7 @@ from surgbench.objective import LossWeights
 from surgbench.state import ANGLES, BETA, JOINTS, POSITION, STATE_SCALE, JointLimits, StateSpace
 from surgbench.trackers.initialisers.thickness import ThicknessObjective
 from surgbench.trackers.optimisers.cma import CMA
+from surgbench.trackers.optimisers.cma_settings import published_settings
 
 Count = Annotated[int, Field(ge=1)]
 
@@ -81,7 +82,7 @@ class Scorer:
 
 
 class Refiner:
-    """Refines states by CMA-ES with its default rates.
+    """Refines states by CMA-ES with the tutorial's rates.
 
     Args:
         scene: Of one arm.
@@ -107,7 +108,8 @@ class Refiner:
 
     def _refine(self, state: FloatArray, sigma: float, generations: int) -> tuple[FloatArray, float]:
         """The best state that is met, and its loss."""
-        search = CMA(self._space.encode(state), sigma, self._population)
+        settings = published_settings(len(state), self._population)
+        search = CMA(self._space.encode(state), sigma, self._population, settings=settings)
         best, best_loss = state, np.inf
         for _ in range(generations):
             samples = search.ask(self._rng.standard_normal((self._population, len(state))))

@@ -18,6 +18,7 @@ from surgbench.trackers.initialisers.arms import initialise_each_arm
 from surgbench.trackers.initialisers.hypotheses import DISTANCE_M, ELEVATION_DEG, hypothesis_states
 from surgbench.trackers.initialisers.refinement import WIDE, Count, RefinementConfig, Scorer, finish
 from surgbench.trackers.optimisers.cma import CMA
+from surgbench.trackers.optimisers.cma_settings import published_settings
 
 MODULES = ("torch", "gpytorch", "botorch")
 POSE = slice(0, 6)
@@ -56,9 +57,7 @@ class TurboInitialiser(Plugin):
     def unavailable(cls) -> str | None:
         """What is missing of the extra ``turbo``, one line; ``None`` where nothing is."""
         missing = [name for name in MODULES if find_spec(name) is None]
-        if not missing:
-            return None
-        return f"initialiser '{cls.name}' needs {' and '.join(missing)}: pip install 'surgbench[turbo]'"
+        return f"{' and '.join(missing)} not installed: pip install 'surgbench[turbo]'" if missing else None
 
     def initialise(
         self,
@@ -76,7 +75,7 @@ class TurboInitialiser(Plugin):
         """
         missing = self.unavailable()
         if missing is not None:
-            raise ConfigError(missing)
+            raise ConfigError(f"initialiser '{self.name}' cannot run: {missing}")
 
         def search(alone: Scene, frame: Observation, advance: Callable[[float], None]) -> FloatArray:
             return self._initialise_arm(alone, frame, rng, advance)
@@ -181,7 +180,9 @@ class _Settler:
     def _refine(self, states: FloatArray) -> tuple[FloatArray, FloatArray]:
         """A few generations of CMA-ES on each pose, joints as they are."""
         starts = self._space.encode(states)
-        searches = [CMA(start[POSE], WIDE, self._config.local_population) for start in starts]
+        population = self._config.local_population
+        settings = published_settings(POSE.stop, population)
+        searches = [CMA(start[POSE], WIDE, population, settings=settings) for start in starts]
         best, least = states.copy(), np.full(len(states), np.inf)
         for normals in self._normals:
             asked = np.stack([search.ask(normals) for search in searches])

@@ -1,0 +1,1 @@
+"""Published figures: what a reproduced table is held against."""

@@ -1,0 +1,125 @@
+"""``surgbench reproduce``."""
+
+from __future__ import annotations
+
+import os
+import sys
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from surgbench.cli.progress import Bar, progress
+
+if TYPE_CHECKING:
+    from surgbench.reproduce.datasets import PartRequest
+    from surgbench.reproduce.table import DatasetRequest, Definition
+
+COMMITTED, OWN = Path("results"), Path("reproduced")
+
+
+def reproduce(
+    table: Annotated[str, typer.Argument(metavar="TABLE|FILE.yaml", help="A table's name, or a table file.")],
+    quick: Annotated[bool, typer.Option("--quick", help="Every row on a small fixed share; not to be quoted.")] = False,
+    check: Annotated[
+        bool, typer.Option("--check", help="Run a part of a finished table again and compare; nothing is written.")
+    ] = False,
+    render: Annotated[
+        bool, typer.Option("--render", help="Only write the Markdown page again, from the files beside it.")
+    ] = False,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR", help="The table's folder is in here. Default: reproduced; with --check or --render: results."
+        ),
+    ] = None,
+    data: Annotated[Path, typer.Option(metavar="DIR", help="Folder of datasets; what is missing is made.")] = Path(
+        "data"
+    ),
+    jobs: Annotated[
+        int | None, typer.Option(min=1, help="Runs at a time; all cores unless told. Times are measured one by one.")
+    ] = None,
+) -> None:
+    """Make a published table again: datasets, runs, CSV, Markdown, figure, fingerprints.
+
+    Example: surgbench reproduce table1 --quick
+
+    Whatever is interrupted goes on with the same command. --check takes the table in DIR, sees whether its files agree,
+    runs a part of it again that its hash and the git commit choose, and ends with exit code 1 where it comes out
+    differently. A run that fails makes exit code 1 too.
+    """
+    from rich.console import Console
+
+    from surgbench.errors import ConfigError
+    from surgbench.reproduce.make import render as render_page
+    from surgbench.reproduce.make import reproduce as make_table
+    from surgbench.reproduce.make import table_folder
+    from surgbench.reproduce.screen import print_table
+    from surgbench.reproduce.table import load_table
+
+    if sum((quick, check, render)) > 1:
+        raise ConfigError("--quick, --check and --render contradict each other; give one")
+    definition = load_table(table)
+    workers = jobs or len(os.sched_getaffinity(0))
+    place = out or (COMMITTED if check or render else OWN)
+    folder = table_folder(definition, place, quick)
+    if check:
+        _check(definition, folder, data, workers)
+        return
+    if render:
+        print(render_page(definition, folder))
+        return
+    results, failures = make_table(definition, place, data, workers, quick, _make_dataset, _Watcher())
+    print_table(definition, results, Console())
+    for failure in failures:
+        print(failure, file=sys.stderr)
+    print(folder)
+    if failures:
+        raise typer.Exit(1)
+
+
+class _Watcher:
+    def say(self, line: str) -> None:
+        print(line, file=sys.stderr, flush=True)
+
+    def progress(self, description: str, total: float) -> AbstractContextManager[Bar]:
+        return progress(description, total)
+
+
+def _make_dataset(request: DatasetRequest, part: PartRequest | None, out: Path, jobs: int) -> None:
+    from surgbench.errors import DatasetError
+    from surgbench.generators.generate import Part, generate, plan_dataset
+    from surgbench.generators.presets import load_preset
+
+    preset = load_preset(
+        request.preset,
+        pairs=request.sequences,
+        frames=request.frames,
+        seed=request.seed,
+        corruption=request.corruption,
+    )
+    plan = plan_dataset(preset, None if part is None else Part(part.sequences, part.frames))
+    try:
+        with progress("frames rendered", plan.frames) as advance:
+            generate(plan, out, jobs=min(jobs, max(1, plan.frames // 20)), progress=advance)
+    except DatasetError as error:
+        raise DatasetError(str(error).replace("--out", "--data")) from None
+
+
+def _check(definition: Definition, folder: Path, data: Path, workers: int) -> None:
+    from surgbench.reproduce.check import check
+
+    problems, verdicts = check(definition, folder, data, workers, _make_dataset, _Watcher())
+    for verdict in verdicts:
+        chosen = verdict.chosen
+        print(f"{verdict.outcome:10} {chosen.row.id} {chosen.unit}: {verdict.detail}")
+    bad = [verdict for verdict in verdicts if not verdict.good]
+    ran = [verdict for verdict in verdicts if verdict.outcome != "skipped"]
+    if problems or bad or not ran:
+        rows = ", ".join(dict.fromkeys(verdict.chosen.row.id for verdict in bad))
+        why = f"rows that come out differently: {rows}" if bad else "no row could be run"
+        why = "its files do not agree" if problems else why
+        print(f"{folder}: not confirmed: {why}")
+        raise typer.Exit(1)
+    print(f"{folder}: confirmed ({len(ran)} rows run again, {len(verdicts) - len(ran)} skipped)")

@@ -1,0 +1,221 @@
+"""A committed table, checked: its files against each other, and a part of it run again."""
+
+from __future__ import annotations
+
+import json
+import math
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+from surgbench.dataset.reader import Dataset
+from surgbench.errors import DatasetError
+from surgbench.files import sha256_file
+from surgbench.randomness import generator
+from surgbench.report.records import SKIPPED
+from surgbench.reproduce.consistency import inconsistencies
+from surgbench.reproduce.datasets import MakeDataset, PartRequest, Watcher, provide
+from surgbench.reproduce.fingerprint import head, largest_deviation, sequence_head_sha256
+from surgbench.reproduce.results import LEADERBOARD_CSV, Results, read_results
+from surgbench.reproduce.table import Block, Definition, TableRow
+from surgbench.suite.environment import environment
+from surgbench.suite.plan import Job, complete
+from surgbench.suite.plan import jobs as plan_jobs
+from surgbench.suite.run import make_plan
+from surgbench.suite.run import run as run_plan
+
+Outcome = Literal["identical", "close", "differs", "failed", "skipped"]
+
+# Another processor rounds differently, and a search by samples then goes other ways. Its mean error over the first
+# frames may differ by so many of its standard errors (ten frames counting as one, since they resemble each other),
+# this share of it, and by what nobody would call a difference.
+STANDARD_ERRORS, FRAMES_ALIKE, SHARE = 3.0, 10, 0.1
+NO_DIFFERENCE = {
+    "rotation_error_rad": 1e-3,
+    "translation_error_m": 5e-5,
+    "tip_error_m": 5e-5,
+    "q1_error_rad": 1e-3,
+    "q2_error_rad": 1e-3,
+    "q3_error_rad": 1e-3,
+    "keypoint_error_px": 0.2,
+    "mask_error": 1e-3,
+    "mask_error_true": 1e-3,
+}
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """One arm or pair of one row that is run again."""
+
+    block: Block
+    row: TableRow
+    unit: str
+    frames: int
+
+    @property
+    def key(self) -> str:
+        """Of its record in ``records.json``."""
+        return f"{self.row.id}/{self.unit}/r0"
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What came of it.
+
+    Attributes:
+        chosen: What was run again.
+        outcome: ``identical`` to the last bit; ``close``: other bits, errors within tolerance; ``differs``:
+            beyond it; ``failed``; ``skipped``: this machine lacks something for it.
+        detail: One line.
+    """
+
+    chosen: Chosen
+    outcome: Outcome
+    detail: str
+
+    @property
+    def good(self) -> bool:
+        """Nothing against the table."""
+        return self.outcome in ("identical", "close", "skipped")
+
+
+def check(
+    definition: Definition, folder: Path, data: Path, jobs: int, make: MakeDataset, watcher: Watcher
+) -> tuple[list[str], list[Verdict]]:
+    """Check a table.
+
+    Args:
+        definition: The table as it is defined now.
+        folder: Its files.
+        data: Folder of datasets; what is not there whole is made in part, elsewhere, and removed again.
+        jobs: Worker processes.
+        make: Makes datasets.
+        watcher: Is told what is going on.
+
+    Returns:
+        What does not fit among its files, and what came of each run.
+
+    Raises:
+        DatasetError: A file of the table is missing or damaged.
+    """
+    results = read_results(folder)
+    problems = inconsistencies(definition, results, folder)
+    for problem in problems:
+        watcher.say(problem)
+    if problems:
+        return problems, []
+    commit = (environment()["git"] or {}).get("commit", "none")
+    table_sha256 = sha256_file(folder / LEADERBOARD_CSV)
+    chosen = choose(definition, results, table_sha256, commit)
+    watcher.say(f"chosen by table {table_sha256[:12]} and commit {commit[:12]}:")
+    for one in chosen:
+        watcher.say(f"  {one.row.id} on {one.unit}, first {one.frames} frames ({one.block.dataset.folder})")
+    verdicts: list[Verdict] = []
+    with tempfile.TemporaryDirectory(prefix="surgbench-check-") as scratch:
+        for block in definition.table.blocks:
+            own = [one for one in chosen if one.block is block]
+            if own:
+                dataset = _dataset(block, own, results, data, Path(scratch), jobs, make)
+                verdicts += _run_again(block, own, dataset, results, Path(scratch) / "records", jobs, watcher)
+    return problems, verdicts
+
+
+def choose(definition: Definition, results: Results, table_sha256: str, commit: str) -> list[Chosen]:
+    """Which rows, and of each which arm or pair: whoever has the same table and commit gets the same ones."""
+    rng = generator(table=table_sha256, commit=commit, purpose="check")
+    rows = list(definition.table.rows())
+    chosen: list[Chosen] = []
+    for place in rng.permutation(len(rows)):
+        block, row = rows[place]
+        sound = [
+            one["unit"]
+            for one in results.sequences
+            if one["row_id"] == row.id and one["status"] == "ok" and one["repeat"] == 0
+        ]
+        unit = int(rng.integers(max(1, len(sound))))  # drawn for every row, so that one more sound row changes little
+        if sound and len(chosen) < definition.table.check.runs:
+            frames = results.about["records"][f"{row.id}/{sound[unit]}/r0"]["head"]["frames"]
+            chosen.append(Chosen(block, row, sound[unit], frames))
+    return sorted(chosen, key=lambda one: [row.id for _, row in rows].index(one.row.id))
+
+
+def _dataset(
+    block: Block, chosen: Sequence[Chosen], results: Results, data: Path, scratch: Path, jobs: int, make: MakeDataset
+) -> Dataset:
+    """The whole dataset where it lies already, else just what is needed of it."""
+    committed = results.about["datasets"][block.dataset.folder]
+    try:
+        whole = Dataset.open(data / block.dataset.folder)
+        if whole.hash == committed["sha256"]:
+            return whole
+    except DatasetError:
+        pass
+    # A unit is a sequence, or one arm of it.
+    ids = list(committed["first_masks_sha256"])
+    needed = tuple(id_ for id_ in ids if any(one.unit.partition("-")[0] == id_ or one.unit == id_ for one in chosen))
+    return provide(block.dataset, PartRequest(needed, results.about["first_frames"]), scratch, jobs, make)
+
+
+def _run_again(
+    block: Block,
+    chosen: Sequence[Chosen],
+    dataset: Dataset,
+    results: Results,
+    out: Path,
+    workers: int,
+    watcher: Watcher,
+) -> list[Verdict]:
+    jobs = [_job(block, one, dataset) for one in chosen]
+    plan = make_plan(jobs, out)
+    with watcher.progress(block.heading, plan.frames) as bar:
+        run_plan(plan, dataset, out, workers, bar, bar.stage, lambda record: None)
+    verdicts = []
+    for one, job in zip(chosen, jobs, strict=True):
+        record = json.loads((out / job.path).read_text(encoding="utf-8"))
+        verdicts.append(_judge(one, job, record, dataset, results))
+    return verdicts
+
+
+def _job(block: Block, chosen: Chosen, dataset: Dataset) -> Job:
+    asked = chosen.row.asked(quick=False).model_copy(update={"sequences": None, "frames": chosen.frames})
+    settings = complete(asked, block.protocol, dataset)
+    return next(job for job in plan_jobs(settings, dataset) if job.unit.id == chosen.unit and job.repeat == 0)
+
+
+def _judge(chosen: Chosen, job: Job, record: dict[str, Any], dataset: Dataset, results: Results) -> Verdict:
+    if record["status"] == SKIPPED:
+        return Verdict(chosen, "skipped", record["error"])
+    if record["status"] != "ok":
+        return Verdict(chosen, "failed", f"{record['status']}: {record['error']}")
+    committed, found = results.about["records"][chosen.key]["head"], head(record, chosen.frames)
+    if committed["states_sha256"] == found["states_sha256"]:
+        return Verdict(chosen, "identical", f"{found['frames']} states bit for bit")
+    beyond = beyond_tolerance(committed, found)
+    notes = [f"frame {found['frames'] - 1} off by {largest_deviation(committed['last'], found['last']):.2g}"]
+    notes += [f"mean {name} {now:.4g} instead of {then:.4g}" for name, then, now in beyond]
+    if not _same_masks(chosen, job, dataset, results):
+        notes.append("the masks are not the committed ones")
+    settings_hash = next(row["settings_hash"] for row in results.rows if row["row_id"] == chosen.row.id)
+    if chosen.row.frames is None and replace(job.settings, frames_limit=None).hash != settings_hash:
+        notes.append("options or a plug-in's source have changed since the table was made")
+    return Verdict(chosen, "differs" if beyond else "close", "; ".join(notes))
+
+
+def beyond_tolerance(committed: dict[str, Any], found: dict[str, Any]) -> list[tuple[str, float, float]]:
+    """Errors of the first frames that no rounding explains: name, mean then, mean now."""
+    beyond = []
+    independent = max(1.0, committed["frames"] / FRAMES_ALIKE)
+    for name, (mean, std) in committed["errors"].items():
+        tolerance = STANDARD_ERRORS * std / math.sqrt(independent) + SHARE * abs(mean) + NO_DIFFERENCE[name]
+        now = found["errors"].get(name, [math.inf])[0]
+        if abs(now - mean) > tolerance:
+            beyond.append((name, mean, now))
+    return beyond
+
+
+def _same_masks(chosen: Chosen, job: Job, dataset: Dataset, results: Results) -> bool:
+    committed = results.about["datasets"][chosen.block.dataset.folder]["first_masks_sha256"][job.unit.sequence]
+    frames = min(results.about["first_frames"], dataset.sequence(job.unit.sequence).frames)
+    return bool(committed == sequence_head_sha256(dataset, job.unit.sequence, frames))

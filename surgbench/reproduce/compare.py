@@ -1,0 +1,103 @@
+"""Ours beside what was published."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from surgbench.report.rows import Row
+from surgbench.reproduce.published import Published
+from surgbench.reproduce.table import Block, TableRow
+
+
+@dataclass(frozen=True)
+class Measure:
+    """A column that tables are read by.
+
+    Attributes:
+        key: Of a row.
+        name: Heading.
+        unit: As shown.
+        scale: Multiplies the value (1000 turns metres into millimetres).
+        decimals: As shown.
+    """
+
+    key: str
+    name: str
+    unit: str
+    decimals: int
+    scale: float = 1.0
+
+    def text(self, value: float | None) -> str:
+        """A value as shown."""
+        return "–" if value is None else f"{value * self.scale:.{self.decimals}f}"
+
+    @property
+    def heading(self) -> str:
+        """Name and unit."""
+        return f"{self.name} [{self.unit}]" if self.unit else self.name
+
+
+ROTATION = Measure("rotation_error_rad", "rotation", "rad", 4)
+TRANSLATION = Measure("translation_error_m", "translation", "mm", 2, 1000.0)
+TIPS = Measure("tip_error_m", "tips", "mm", 2, 1000.0)
+JOINTS = tuple(Measure(f"q{n}_error_rad", f"q{n}", "rad", 4) for n in (1, 2, 3))
+MASK = Measure("mask_error", "mask error", "", 4)
+TRUE_MASK = Measure("mask_error_true", "true mask error", "", 4)
+KEYPOINTS = Measure("keypoint_error_px", "keypoints", "px", 2)
+TIME = Measure("latency_optimise_ms", "time", "ms", 2)
+
+ALL = (ROTATION, TRANSLATION, TIPS, *JOINTS, MASK, TRUE_MASK, KEYPOINTS)
+PUBLISHED = (ROTATION, TRANSLATION, *JOINTS, MASK, KEYPOINTS, TIME)
+ABOVE_FLOOR = (ROTATION, TRANSLATION, TIPS, *JOINTS)
+
+
+@dataclass(frozen=True)
+class Pair:
+    """One figure of ours beside the published one.
+
+    Attributes:
+        measure: Which.
+        published: Mean.
+        ours: Mean over sequences; ``None`` where the row has none.
+        sem: Standard error over sequences.
+    """
+
+    measure: Measure
+    published: float
+    ours: float | None
+    sem: float | None
+
+    @property
+    def ratio(self) -> float | None:
+        """Ours over the published one: 1 or less is no worse."""
+        return None if self.ours is None else self.ours / self.published
+
+    @property
+    def met(self) -> bool:
+        """Ours is no worse."""
+        return self.ours is not None and self.ours <= self.published
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """One row beside its published one."""
+
+    row: TableRow
+    pairs: tuple[Pair, ...]
+
+
+def compare(block: Block, rows: Sequence[Row], published: Published) -> list[Comparison]:
+    """All rows of a block that have a published row, with the figures that both are about."""
+    found = {row["row_id"]: row for row in rows}
+    comparisons = []
+    for row in block.rows:
+        if row.published is None or row.id not in found:
+            continue
+        ours, pairs = found[row.id], []
+        for measure in PUBLISHED:
+            figure = published.value(row.published, str(block.published_on), measure.key)
+            if figure is not None:
+                pairs.append(Pair(measure, figure, ours[measure.key], ours.get(f"{measure.key}_sem")))
+        comparisons.append(Comparison(row, tuple(pairs)))
+    return comparisons

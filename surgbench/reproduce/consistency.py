@@ -1,0 +1,91 @@
+"""Whether a table's files agree with each other: what a slip of the hand in one of them would break."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from surgbench.report.rows import ERRORS, Row
+from surgbench.reproduce.markdown import markdown
+from surgbench.reproduce.results import LEADERBOARD_CSV, LEADERBOARD_MD, RECORDS_JSON, SEQUENCES_CSV, Results
+from surgbench.reproduce.table import Definition
+
+# Of a mean that was summed in another order, and of six digits.
+_ROUNDING, _SIX_DIGITS = 1e-9, 1e-5
+
+
+def inconsistencies(definition: Definition, results: Results, folder: Path) -> list[str]:
+    """One line for each thing that does not fit.
+
+    Args:
+        definition: The table as it is defined now.
+        results: As read from its files.
+        folder: Where they lie.
+    """
+    wanted = [row.id for _, row in definition.table.rows()]
+    there = [row["row_id"] for row in results.rows]
+    if wanted != there:
+        missing = [id_ for id_ in wanted if id_ not in there] or [id_ for id_ in there if id_ not in wanted]
+        return [f"{LEADERBOARD_CSV}: other rows than the table's definition ({', '.join(missing) or 'another order'})"]
+    problems = []
+    for row in results.rows:
+        own = [one for one in results.sequences if one["row_id"] == row["row_id"]]
+        problems += _row_problems(row, own)
+    for one in results.sequences:
+        key = f"{one['row_id']}/{one['unit']}/r{one['repeat']}"
+        problems += _record_problems(key, one, results.about["records"].get(key))
+    page = folder / LEADERBOARD_MD
+    if not page.is_file() or page.read_text(encoding="utf-8") != markdown(definition, results):
+        problems.append(f"{LEADERBOARD_MD}: not what the other files and the table's definition give (see --render)")
+    return problems
+
+
+def _row_problems(row: Row, sequences: list[Row]) -> list[str]:
+    """A leaderboard row is made of its sequences' rows."""
+    expected: dict[str, float | None] = {
+        "sequences": len({one["unit"] for one in sequences}),
+        "frames": sum(one["frames"] for one in sequences),
+        "lost_frames": sum(one["lost_frames"] for one in sequences),
+    }
+    for error in (*ERRORS, "jitter"):
+        means = [
+            float(np.mean(values))
+            for unit in sorted({one["unit"] for one in sequences})
+            if (values := [one[error] for one in sequences if one["unit"] == unit and one[error] is not None])
+        ]
+        expected[error] = float(np.mean(means)) if means else None
+        if error != "jitter":
+            sem = float(np.std(means, ddof=1) / math.sqrt(len(means))) if len(means) > 1 else None
+            expected[f"{error}_sem"] = sem
+    return [
+        f"{LEADERBOARD_CSV}: row '{row['row_id']}': {key} is {row[key]}, but {SEQUENCES_CSV} gives {value}"
+        for key, value in expected.items()
+        if not _same(row[key], value, _ROUNDING)
+    ]
+
+
+def _record_problems(key: str, sequence: Row, record: dict[str, Any] | None) -> list[str]:
+    """A sequence's row is of a record; where that is no longer than what is kept of it, its errors are known."""
+    if record is None:
+        return [f"{RECORDS_JSON}: no record '{key}'"]
+    problems = [
+        f"{SEQUENCES_CSV}: {key}: {name} is {sequence[name]}, but {RECORDS_JSON} says {record[name]}"
+        for name in ("status", "frames")
+        if sequence[name] != record[name]
+    ]
+    if record["head"]["frames"] == record["frames"]:
+        problems += [
+            f"{SEQUENCES_CSV}: {key}: {error} is {sequence[error]}, but {RECORDS_JSON} says {mean}"
+            for error, (mean, _) in record["head"]["errors"].items()
+            if not _same(sequence[error], mean, _SIX_DIGITS)
+        ]
+    return problems
+
+
+def _same(a: float | None, b: float | None, tolerance: float) -> bool:
+    if a is None or b is None:
+        return a is b
+    return math.isclose(a, b, rel_tol=tolerance, abs_tol=1e-15)

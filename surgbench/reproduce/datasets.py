@@ -1,0 +1,68 @@
+"""The datasets behind a table: where they lie, and how they come to be."""
+
+from __future__ import annotations
+
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+from surgbench.dataset.reader import Dataset
+from surgbench.reproduce.table import DatasetRequest
+
+
+@dataclass(frozen=True)
+class PartRequest:
+    """Some sequences of a dataset, and of them the first frames.
+
+    Attributes:
+        sequences: Ids.
+        frames: At most so many of each.
+    """
+
+    sequences: tuple[str, ...]
+    frames: int
+
+
+class Bar(Protocol):
+    """Shows how far work has come."""
+
+    def __call__(self, amount: float) -> None:
+        """So much more of the total has been done."""
+
+    def stage(self, description: str, fraction: float) -> None:
+        """A part of the work that the total does not count has come to ``fraction``; 1 ends it."""
+
+
+class Watcher(Protocol):
+    """Who is told what is going on."""
+
+    def say(self, line: str) -> None:
+        """One line for the user."""
+
+    def progress(self, description: str, total: float) -> AbstractContextManager[Bar]:
+        """Work that is about to begin."""
+
+
+class MakeDataset(Protocol):
+    """Generates a dataset, or finishes one that was interrupted. The engine knows no generator, so it is handed in."""
+
+    def __call__(self, request: DatasetRequest, part: PartRequest | None, out: Path, jobs: int) -> None:
+        """Have the dataset, or a part of it, whole in ``out`` afterwards."""
+
+
+def provide(request: DatasetRequest, part: PartRequest | None, data: Path, jobs: int, make: MakeDataset) -> Dataset:
+    """A dataset, made first where it is not there.
+
+    Args:
+        request: What it is.
+        part: What of it is needed; ``None``: all.
+        data: Folder of datasets.
+        jobs: Worker processes.
+        make: Makes it.
+    """
+    folder = request.folder
+    if part is not None:
+        folder += f"-part-{'-'.join(part.sequences)}-{part.frames}"
+    make(request, part, data / folder, jobs)
+    return Dataset.open(data / folder)

@@ -1,0 +1,72 @@
+"""What is kept of a record beside a table: hashes that a rerun elsewhere compares with, the first frames in short."""
+
+from __future__ import annotations
+
+import hashlib
+from typing import Any
+
+import numpy as np
+
+from surgbench.dataset.format import observed_path
+from surgbench.dataset.reader import Dataset
+from surgbench.files import canonical_json, sha256_text
+from surgbench.geometry import FloatArray
+from surgbench.metrics import POSE_ERRORS
+
+HEAD_ERRORS = (*POSE_ERRORS, "mask_error", "mask_error_true")
+# What differs from machine to machine, or from one run to the next, though the estimates are the same.
+_VOLATILE = ("environment", "dataset_path", "references", "initialise_s", "traceback")
+_VOLATILE_FRAMES = "latency_"
+
+
+def record_sha256(record: dict[str, Any]) -> str:
+    """SHA-256 of a record's canonical JSON without times, machine, versions and paths."""
+    kept = {key: value for key, value in record.items() if key not in _VOLATILE}
+    frames = record["frames"] or {}
+    kept["frames"] = {key: value for key, value in frames.items() if not key.startswith(_VOLATILE_FRAMES)}
+    return sha256_text(canonical_json(kept))
+
+
+def head(record: dict[str, Any], frames: int) -> dict[str, Any]:
+    """A record's first frames in short.
+
+    Args:
+        record: A record's whole content.
+        frames: How many frames at most.
+
+    Returns:
+        ``frames`` (how many there are), ``states_sha256`` (of the estimates as little-endian float64, frame by frame),
+        ``last`` (the last of these states), ``errors`` (``HEAD_ERRORS`` to mean and standard deviation over the
+        frames, to six digits; without those that the record has not).
+    """
+    states = np.array((record["frames"] or {}).get("state", []), dtype="<f8")[:frames]
+    errors = {}
+    for name in HEAD_ERRORS:
+        values = np.array((record["errors"] or {}).get(name) or [], dtype=np.float64)[:frames]
+        values = values[~np.isnan(values)]
+        if values.size:
+            errors[name] = [_short(values.mean()), _short(values.std())]
+    return {
+        "frames": len(states),
+        "states_sha256": hashlib.sha256(states.tobytes()).hexdigest(),
+        "last": states[-1].tolist() if len(states) else [],
+        "errors": errors,
+    }
+
+
+def sequence_head_sha256(dataset: Dataset, sequence: str, frames: int) -> str:
+    """SHA-256 over the hashes of a sequence's first masks, as its manifest has them."""
+    kinds = dataset.sequence(sequence).entry.kinds
+    paths = [observed_path(sequence, kind, frame) for frame in range(frames) for kind in kinds]
+    files = dataset.manifest.files
+    return sha256_text("\n".join(files[path].sha256 for path in paths if path in files))
+
+
+def largest_deviation(recorded: list[float], found: list[float]) -> float:
+    """The largest difference of two states in any component, radians and metres alike."""
+    difference: FloatArray = np.abs(np.subtract(recorded, found))
+    return float(difference.max())
+
+
+def _short(value: float) -> float:
+    return float(f"{value:.6g}")

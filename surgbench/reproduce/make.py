@@ -1,0 +1,91 @@
+"""A table from nothing to files: the work, the results, the page, the figure."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from surgbench.errors import SurgbenchError
+from surgbench.files import write_atomic
+from surgbench.reproduce.datasets import MakeDataset, Watcher
+from surgbench.reproduce.figure import check_matplotlib, draw
+from surgbench.reproduce.markdown import markdown
+from surgbench.reproduce.results import (
+    FIGURE_PNG,
+    LEADERBOARD_COLUMNS,
+    LEADERBOARD_CSV,
+    LEADERBOARD_MD,
+    RECORDS_JSON,
+    SEQUENCE_COLUMNS,
+    SEQUENCES_CSV,
+    Results,
+    csv_text,
+    derive,
+    json_text,
+    read_results,
+)
+from surgbench.reproduce.table import Definition
+from surgbench.reproduce.work import do_work
+
+
+def table_folder(definition: Definition, out: Path, quick: bool) -> Path:
+    """Where a table's files go below ``out``."""
+    return out / (f"{definition.name}-quick" if quick else definition.name)
+
+
+def reproduce(
+    definition: Definition, out: Path, data: Path, jobs: int, quick: bool, make: MakeDataset, watcher: Watcher
+) -> tuple[Results, list[str]]:
+    """Make a table: datasets, runs, CSV, Markdown, fingerprints, figure. The same call again goes on where it stopped.
+
+    Args:
+        definition: The table.
+        out: The table's folder is made in here.
+        data: Folder of datasets.
+        jobs: Worker processes.
+        quick: Only the small share.
+        make: Makes datasets.
+        watcher: Is told what is going on.
+
+    Returns:
+        The results, and a line for each run that failed.
+
+    Raises:
+        SurgbenchError: Something cannot be written, or a dataset or record is at fault.
+    """
+    with_figure = definition.table.figure is not None and not quick
+    if with_figure:
+        try:
+            check_matplotlib()
+        except SurgbenchError as error:  # said before the work, and no reason not to do it
+            watcher.say(f"{FIGURE_PNG} will be left out: {error}")
+            with_figure = False
+    folder = table_folder(definition, out, quick)
+    blocks, failures = do_work(definition, folder, data, jobs, quick, make, watcher)
+    results = derive(definition, blocks, folder, quick)
+    results.about["figure"] = with_figure and draw(definition.table, blocks, folder, folder / FIGURE_PNG)
+    texts = {
+        LEADERBOARD_CSV: csv_text(results.rows, LEADERBOARD_COLUMNS),
+        SEQUENCES_CSV: csv_text(results.sequences, SEQUENCE_COLUMNS),
+        RECORDS_JSON: json_text(results.about),
+        LEADERBOARD_MD: markdown(definition, results),
+    }
+    for name, text in texts.items():
+        _write(folder / name, text)
+    return results, failures
+
+
+def render(definition: Definition, folder: Path) -> Path:
+    """Write ``leaderboard.md`` again from the other files, after a change of the table's words.
+
+    Raises:
+        SurgbenchError: The files are not there or damaged, or it cannot be written.
+    """
+    _write(folder / LEADERBOARD_MD, markdown(definition, read_results(folder)))
+    return folder / LEADERBOARD_MD
+
+
+def _write(path: Path, text: str) -> None:
+    try:
+        write_atomic(path, text.encode())
+    except OSError as error:
+        raise SurgbenchError(f"{path}: cannot be written ({error.strerror})") from None

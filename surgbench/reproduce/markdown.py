@@ -1,0 +1,162 @@
+"""``leaderboard.md``: the table for people, made of nothing but the other files and the table's definition."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from surgbench.report.rows import Row
+from surgbench.reproduce.compare import ABOVE_FLOOR, ALL, TIME, Comparison, Measure, compare
+from surgbench.reproduce.results import FIGURE_PNG, Results
+from surgbench.reproduce.table import Block, Definition
+
+QUICK_WARNING = "A quick run: a few frames of a few sequences, **not to be quoted**."
+READING = (
+    "Errors are means over sequences (each arm is one) ± their standard error, after the paper's rule for the 180° "
+    "twin. *mask error* is against the mask that the tracker saw, *true mask error* against the uncorrupted one; "
+    "*keypoints* is the sum over both tips. *time* is the median of a frame's optimisation. Every column is explained "
+    "in `docs/metrics.md`; `leaderboard.csv` has more of them, with all digits, and `sequences.csv` every sequence's "
+    "means."
+)
+
+
+def markdown(definition: Definition, results: Results) -> str:
+    """The whole page."""
+    table, published = definition.table, definition.published
+    compared = {block.name: compare(block, results.rows, published) for block in table.blocks}
+    parts = [f"# {table.title}"]
+    if results.about["quick"]:
+        parts.append(QUICK_WARNING)
+    if table.note:
+        parts.append(table.note.strip())
+    parts.append(_summary([one for comparisons in compared.values() for one in comparisons], published.short))
+    parts += [READING, _times(results.about, published.short, published.machine)]
+    if results.about["figure"]:
+        parts.append(f"![Ground truth and estimates over time]({FIGURE_PNG})")
+    for block in table.blocks:
+        rows = [row for row in results.rows if row["block"] == block.name]
+        about_data = _dataset(block, results.about["datasets"][block.dataset.folder])
+        parts += [f"## {block.heading}", block.note.strip(), about_data, _block_table(rows), *_failures(rows)]
+        if compared[block.name]:
+            parts += [f"### Beside {published.short}", _comparison_table(compared[block.name])]
+        floors = _floor_table(block, results.rows)
+        if floors:
+            parts += ["### Above the floor", FLOOR_NOTE, floors]
+    return "\n\n".join(part for part in parts if part) + "\n"
+
+
+FLOOR_NOTE = (
+    "How many times the error of the floor row, which searches every frame from its true state: what the masks allow."
+)
+
+
+def _summary(comparisons: list[Comparison], source: str) -> str:
+    pairs = [(one.row.id, pair) for one in comparisons for pair in one.pairs]
+    if not pairs:
+        return ""
+    worse = [
+        f"`{id_}` {pair.measure.name}" + ("" if pair.ratio is None else f" ({_ratio(pair.ratio)})")
+        for id_, pair in pairs
+        if not pair.met
+    ]
+    words = f"Of {len(pairs)} figures of {source}, {len(pairs) - len(worse)} are met or bettered"
+    return f"**{words}.**" + (f" Not met: {', '.join(worse)}." if worse else "")
+
+
+def _times(about: dict[str, Any], source: str, machine: str) -> str:
+    timed = about["timing_environments"] or about["environments"]
+    processors = sorted({environment["machine"]["processor"] for environment in timed})
+    how = "one run at a time" if about["timing_environments"] else "beside other runs, if there were several jobs"
+    return (
+        f"The times of {source} were measured on {machine}, ours on one core of {' and of '.join(processors)}, {how}; "
+        "their ratio is of what a user waits for, not of the methods' arithmetic."
+    )
+
+
+def _dataset(block: Block, dataset: dict[str, Any]) -> str:
+    """What a reader needs to see whether a row is won by an easy dataset."""
+    speeds = [
+        f"{speed} sequences {1000 * values['translation_m']:.2f} mm, {values['rotation_rad']:.4f} rad and "
+        f"{values['joints_rad']:.4f} rad per joint from frame to frame (means), and the masks differ from the true "
+        f"ones by {values['mask_error']:.4f} (1 − IoU)"
+        for speed, values in dataset["difficulty"].items()
+    ]
+    return (
+        f"Dataset `{block.dataset.folder}`: {dataset['sequences']} pairs of arms, {dataset['frames']} frames, SHA-256 "
+        f"`{dataset['sha256'][:12]}…`. In {'; in '.join(speeds)}."
+    )
+
+
+def _block_table(rows: Sequence[Row]) -> str:
+    partly = any(row["coverage"] < 1 for row in rows)
+    headings = ["method", "row id", *(measure.heading for measure in (*ALL, TIME)), "p95 [ms]"]
+    lines = [headings + (["sequences × frames"] if partly else [])]
+    for row in rows:
+        cells = [_escape(row["label"]), f"`{row['row_id']}`"]
+        cells += [_with_error(measure, row[measure.key], row[f"{measure.key}_sem"]) for measure in ALL]
+        cells += [TIME.text(row[TIME.key]), TIME.text(row["latency_ms_p95"])]
+        if partly:
+            frames = row["frames"] / row["sequences"] / row["repeats"]
+            cells.append(f"{row['sequences']} × {frames:g}")
+        lines.append(cells)
+    return _table(lines, text_columns=2)
+
+
+def _comparison_table(comparisons: Sequence[Comparison]) -> str:
+    """Three lines a row: published, ours, and their ratio, bold where ours is no worse."""
+    measures = [
+        measure for measure in (*ALL, TIME) if any(pair.measure == measure for one in comparisons for pair in one.pairs)
+    ]
+    lines = [["method", "", *(measure.heading for measure in measures)]]
+    for one in comparisons:
+        pairs = {pair.measure: pair for pair in one.pairs}
+        published, ours, ratio = [], [], []
+        for measure in measures:
+            pair = pairs.get(measure)
+            published.append("–" if pair is None else measure.text(pair.published))
+            ours.append("–" if pair is None else _with_error(measure, pair.ours, pair.sem))
+            text = "–" if pair is None or pair.ratio is None else _ratio(pair.ratio)
+            ratio.append(f"**{text}**" if pair is not None and pair.met else text)
+        lines += [[_escape(one.row.label), "published", *published], ["", "ours", *ours], ["", "ratio", *ratio]]
+    return _table(lines, text_columns=2)
+
+
+def _floor_table(block: Block, rows: Sequence[Row]) -> str:
+    found = {row["row_id"]: row for row in rows}
+    lines = [["method", "floor", *(measure.name for measure in ABOVE_FLOOR)]]
+    for row in block.rows:
+        if row.floor is None:
+            continue
+        ours, floor = found[row.id], found[row.floor]
+        ratios = [
+            _ratio(ours[measure.key] / floor[measure.key]) if ours[measure.key] and floor[measure.key] else "–"
+            for measure in ABOVE_FLOOR
+        ]
+        lines.append([_escape(row.label), f"`{row.floor}`", *ratios])
+    return _table(lines, text_columns=2) if len(lines) > 1 else ""
+
+
+def _failures(rows: Sequence[Row]) -> list[str]:
+    lines = [
+        f"- `{row['row_id']}` {row['status']}: {_escape(row['error'] or 'no message')}"
+        for row in rows
+        if row["status"] != "ok"
+    ]
+    return ["\n".join(lines)] if lines else []
+
+
+def _with_error(measure: Measure, value: float | None, sem: float | None) -> str:
+    return measure.text(value) + ("" if sem is None else f" ± {measure.text(sem)}")
+
+
+def _ratio(value: float) -> str:
+    return f"{value:.2f}×" if value < 10 else f"{value:.0f}×"
+
+
+def _table(lines: list[list[str]], text_columns: int) -> str:
+    rule = ["---" if column < text_columns else "---:" for column in range(len(lines[0]))]
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in [lines[0], rule, *lines[1:]])
+
+
+def _escape(text: str) -> str:
+    return text.replace("\\", "\\\\").replace("|", "\\|").replace("\n", " ")

@@ -1,0 +1,210 @@
+"""A table's results: rows, per-sequence rows and fingerprints, derived from records, written and read back."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from surgbench.errors import DatasetError
+from surgbench.files import canonical_json
+from surgbench.report.records import Record, read_record
+from surgbench.report.rows import COMMON_COLUMNS, ERRORS, INSTRUMENT_COLUMNS, SETTING_COLUMNS, Row, derive_rows
+from surgbench.reproduce.difficulty import difficulty
+from surgbench.reproduce.fingerprint import head, record_sha256, sequence_head_sha256
+from surgbench.reproduce.table import Definition
+from surgbench.reproduce.work import RECORDS, TIMING, BlockWork
+from surgbench.suite.plan import Job
+
+FORMAT = "surgbench-reproduction-1"
+LEADERBOARD_CSV, LEADERBOARD_MD = "leaderboard.csv", "leaderboard.md"
+SEQUENCES_CSV, RECORDS_JSON, FIGURE_PNG = "sequences.csv", "records.json", "figure.png"
+
+LATENCY_COLUMNS = tuple(column for column in INSTRUMENT_COLUMNS if column.startswith("latency_"))
+LEADERBOARD_COLUMNS = (*INSTRUMENT_COLUMNS, "block", "label")
+# No times: a rerun elsewhere writes the same file.
+SEQUENCE_COLUMNS = ("row_id", "block", "unit", "speed", "repeat", "status", "frames", *ERRORS, "jitter", "lost_frames")
+_NUMBERS = {"sequences", "frames", "repeats", "coverage", "iterations", "views", "floor", "calibration_ratio"}
+_TEXT = {*COMMON_COLUMNS, *SETTING_COLUMNS, "block", "label", "unit", "speed"} - {*_NUMBERS, *LATENCY_COLUMNS}
+
+
+@dataclass(frozen=True)
+class Results:
+    """What is known of a table.
+
+    Attributes:
+        rows: With the keys ``LEADERBOARD_COLUMNS``, in the table's order.
+        sequences: With the keys ``SEQUENCE_COLUMNS``: each row's arms or pairs.
+        about: Datasets, environments, and per record what is kept of it: the content of ``records.json``.
+    """
+
+    rows: list[Row]
+    sequences: list[Row]
+    about: dict[str, Any]
+
+
+def derive(definition: Definition, blocks: Sequence[BlockWork], out: Path, quick: bool) -> Results:
+    """Results from the records of finished work.
+
+    Args:
+        definition: The table.
+        blocks: From :func:`surgbench.reproduce.work.do_work`.
+        out: The table's own folder.
+        quick: Whether it was a quick run.
+
+    Raises:
+        DatasetError: A record is damaged or missing.
+    """
+    frames = definition.table.check.frames
+    rows: list[Row] = []
+    sequences: list[Row] = []
+    records: dict[str, Any] = {}
+    made_in: dict[str, dict[str, Any]] = {}
+    timed_in: dict[str, dict[str, Any]] = {}
+    datasets: dict[str, Any] = {}
+    for work in blocks:
+        folder = work.block.dataset.folder
+        datasets[folder] = datasets.get(folder) or {
+            "name": work.dataset.name,
+            "sha256": work.dataset.hash,
+            "sequences": len(work.dataset.sequences),
+            "frames": sum(sequence.frames for sequence in work.dataset.sequences),
+            "difficulty": difficulty(work.dataset),
+            "first_masks_sha256": {
+                sequence.id: sequence_head_sha256(work.dataset, sequence.id, min(frames, sequence.frames))
+                for sequence in work.dataset.sequences
+            },
+        }
+        for one in work.rows:
+            read = []
+            for record, content in _read(out / RECORDS, one.jobs):
+                read.append(record)
+                sequences.append(_sequence_row(work, record))
+                key = f"{one.row.id}/{record.spec.unit}/r{record.spec.repeat}"
+                records[key] = {
+                    "status": record.status,
+                    "frames": len(record.frames.index),
+                    "sha256": record_sha256(content),
+                    "head": head(content, frames),
+                }
+                _count(made_in, content)
+            row = derive_rows(read)[0]
+            row |= {"block": work.block.name, "label": one.row.label}
+            timing = [record for record, content in _read(out / TIMING, one.timing) if _count(timed_in, content)]
+            if timing:
+                timed = derive_rows(timing)[0]
+                row |= {column: timed[column] for column in LATENCY_COLUMNS}
+            rows.append(row)
+    about = {
+        "format": FORMAT,
+        "table": definition.name,
+        "table_sha256": definition.sha256,
+        "quick": quick,
+        "first_frames": frames,
+        "datasets": datasets,
+        "environments": list(made_in.values()),
+        "timing_environments": list(timed_in.values()),
+        "records": records,
+    }
+    return Results(rows, sequences, about)
+
+
+def _read(folder: Path, jobs: Iterable[Job]) -> Iterator[tuple[Record, dict[str, Any]]]:
+    """One at a time: a whole table's records do not fit into memory comfortably."""
+    for job in jobs:
+        path = folder / job.path
+        record = read_record(path)
+        if record is None:
+            raise DatasetError(f"{path}: not a record; delete it and run again")
+        yield record, json.loads(path.read_text(encoding="utf-8"))
+
+
+def _count(environments: dict[str, dict[str, Any]], record: dict[str, Any]) -> bool:
+    environment = record["environment"]
+    entry = environments.setdefault(canonical_json(environment), {**environment, "records": 0})
+    entry["records"] += 1
+    return True
+
+
+def _sequence_row(work: BlockWork, record: Record) -> Row:
+    row: Row = {
+        "row_id": record.spec.row_id,
+        "block": work.block.name,
+        "unit": record.spec.unit,
+        "speed": work.dataset.sequence(record.spec.sequence).speed,
+        "repeat": record.spec.repeat,
+        "status": record.status,
+        "frames": len(record.frames.index),
+        "lost_frames": sum(record.frames.lost),
+    }
+    for error in (*ERRORS, "jitter"):
+        values = record.errors.get(error, np.array([]))
+        values = values[~np.isnan(values)]
+        row[error] = float(values.mean()) if values.size else None
+    return row
+
+
+def csv_text(rows: Sequence[Row], columns: Sequence[str]) -> str:
+    """CSV with every digit; empty cells for missing values."""
+    out = io.StringIO()
+    writer = csv.DictWriter(out, columns, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return out.getvalue()
+
+
+def json_text(about: dict[str, Any]) -> str:
+    """``records.json``: a line for each record, so that two can be compared with ``diff``."""
+    rest = {key: value for key, value in about.items() if key != "records"}
+    head_text = json.dumps(rest, indent=1, sort_keys=True, allow_nan=False)
+    lines = ",\n".join(f"  {json.dumps(key)}: {canonical_json(value)}" for key, value in about["records"].items())
+    return f'{head_text[:-2]},\n "records": {{\n{lines}\n }}\n}}\n'
+
+
+def read_results(folder: Path) -> Results:
+    """Results as they were written.
+
+    Raises:
+        DatasetError: A file is missing or is not what it should be; one line.
+    """
+    path = folder / RECORDS_JSON
+    try:
+        about = json.loads(path.read_text(encoding="utf-8"))
+        if about["format"] != FORMAT or not isinstance(about["records"], dict):
+            raise ValueError(f"not of the format {FORMAT}")
+        path = folder / LEADERBOARD_CSV
+        rows = _read_csv(path, LEADERBOARD_COLUMNS)
+        path = folder / SEQUENCES_CSV
+        return Results(rows, _read_csv(path, SEQUENCE_COLUMNS), about)
+    except FileNotFoundError:
+        raise DatasetError(f"{path}: missing; a reproduced table is a folder with this file") from None
+    except OSError as error:
+        raise DatasetError(f"{path}: cannot be read ({error.strerror})") from None
+    except (ValueError, KeyError, TypeError) as error:
+        raise DatasetError(f"{path}: damaged ({error})") from None
+
+
+def _read_csv(path: Path, columns: Sequence[str]) -> list[Row]:
+    lines = csv.DictReader(io.StringIO(path.read_text(encoding="utf-8")))
+    if tuple(lines.fieldnames or ()) != tuple(columns):
+        raise ValueError("other columns than this version of surgbench writes")
+    return [{key: _value(key, cell) for key, cell in line.items()} for line in lines]
+
+
+def _value(key: str, cell: str) -> Any:
+    if cell == "":
+        return None
+    if key in _TEXT:
+        return cell
+    if cell in ("True", "False"):
+        return cell == "True"
+    try:
+        return int(cell)
+    except ValueError:
+        return float(cell)

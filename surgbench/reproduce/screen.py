@@ -1,0 +1,60 @@
+"""A reproduced table in the terminal."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from surgbench.report.render import print_leaderboard
+from surgbench.reproduce.compare import Comparison, Pair, compare
+from surgbench.reproduce.results import Results
+from surgbench.reproduce.table import Definition
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.text import Text
+
+
+def print_table(definition: Definition, results: Results, console: Console) -> None:
+    """Print every block, and its published figures beside ours; 80 characters are enough."""
+    from rich.text import Text
+
+    console.print(Text(definition.table.title, style="bold"))
+    for block in definition.table.blocks:
+        console.print(Text(f"\n{block.heading}", style="bold"))
+        # The label says what the row is; the variant would say which options make it so.
+        rows = [{**row, "variant": row["label"]} for row in results.rows if row["block"] == block.name]
+        print_leaderboard(rows, console)
+        comparisons = compare(block, results.rows, definition.published)
+        if comparisons:
+            _print_comparisons(comparisons, definition.published.short, console)
+    if results.about["quick"]:
+        console.print("A quick run: a few frames of a few sequences, not to be quoted.")
+
+
+def _print_comparisons(comparisons: list[Comparison], source: str, console: Console) -> None:
+    from rich import box
+    from rich.table import Table
+    from rich.text import Text
+
+    measures = list(dict.fromkeys(pair.measure for one in comparisons for pair in one.pairs))
+    title = f"beside {source}: theirs, ours, ± over sequences, ours / theirs (bold: no worse)"
+    sheet = Table(title=Text(title), title_justify="left", box=box.SIMPLE_HEAD, padding=0, pad_edge=False)
+    sheet.add_column("row", overflow="fold", min_width=8)
+    sheet.add_column("", no_wrap=True)
+    for measure in measures:
+        sheet.add_column(Text(f"{measure.name}\n{measure.unit}"), justify="right", no_wrap=True)
+    for one in comparisons:
+        pairs = {pair.measure: pair for pair in one.pairs}
+        cells = [_cell(pairs.get(measure)) for measure in measures]
+        sheet.add_row(Text(one.row.id), Text("theirs\nours\n±\nratio"), *cells)
+    console.print(sheet)
+
+
+def _cell(pair: Pair | None) -> Text:
+    from rich.text import Text
+
+    if pair is None:
+        return Text("–")
+    ratio = "–" if pair.ratio is None else f"{pair.ratio:.2f}"
+    lines = (pair.measure.text(pair.published), pair.measure.text(pair.ours), pair.measure.text(pair.sem))
+    return Text.assemble("\n".join(lines), "\n", (ratio, "bold" if pair.met else ""))

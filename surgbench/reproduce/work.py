@@ -1,0 +1,124 @@
+"""The work behind a table: what is to be run, and running what is not recorded yet."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from surgbench.dataset.reader import Dataset
+from surgbench.report.records import SKIPPED
+from surgbench.reproduce.datasets import MakeDataset, PartRequest, Watcher, provide
+from surgbench.reproduce.table import Block, Definition, Table, TableRow
+from surgbench.suite.plan import Job, Row, complete
+from surgbench.suite.plan import jobs as plan_jobs
+from surgbench.suite.run import make_plan, probe_output
+from surgbench.suite.run import run as run_plan
+
+RECORDS, TIMING = "records", "timing"
+
+
+@dataclass(frozen=True)
+class RowWork:
+    """One row's runs.
+
+    Attributes:
+        row: The row.
+        settings_hash: Of its settings.
+        jobs: Runs that its errors come from.
+        timing: Runs that its latencies come from; none in a quick run, where the others have to do.
+    """
+
+    row: TableRow
+    settings_hash: str
+    jobs: tuple[Job, ...]
+    timing: tuple[Job, ...]
+
+
+@dataclass(frozen=True)
+class BlockWork:
+    """One block's runs, on its dataset."""
+
+    block: Block
+    dataset: Dataset
+    rows: tuple[RowWork, ...]
+
+
+def plan_block(table: Table, block: Block, dataset: Dataset, quick: bool) -> BlockWork:
+    """What is to be run for a block.
+
+    Raises:
+        ConfigError: An option that no plug-in of a row takes, or something that the dataset has not.
+    """
+    works = []
+    for row in block.rows:
+        asked = row.asked(quick)
+        if quick:
+            runs = min(asked.sequences or table.quick.runs, table.quick.runs)
+            asked = asked.model_copy(update={"sequences": runs})
+        settings = complete(asked, block.protocol, dataset)
+        timing: list[Job] = []
+        if not quick:
+            timing = plan_jobs(complete(_timed(asked, table), block.protocol, dataset), dataset)
+        works.append(RowWork(row, settings.hash, tuple(plan_jobs(settings, dataset)), tuple(timing)))
+    return BlockWork(block, dataset, tuple(works))
+
+
+def _timed(asked: Row, table: Table) -> Row:
+    runs = min(asked.sequences or table.timing.runs, table.timing.runs)
+    frames = min(asked.frames or table.timing.frames, table.timing.frames)
+    return asked.model_copy(update={"sequences": runs, "frames": frames})
+
+
+def do_work(
+    definition: Definition, out: Path, data: Path, jobs: int, quick: bool, make: MakeDataset, watcher: Watcher
+) -> tuple[list[BlockWork], list[str]]:
+    """Make the datasets that are missing and run what is not recorded; the same call again goes on where it stopped.
+
+    Args:
+        definition: The table.
+        out: The table's own folder; records go to sub-folders of it.
+        data: Folder of datasets.
+        jobs: Worker processes; latencies are measured by one at a time whatever this is.
+        quick: Only the small share.
+        make: Makes datasets.
+        watcher: Is told what is going on.
+
+    Returns:
+        The work, and a line for each run that failed.
+
+    Raises:
+        SurgbenchError: Something cannot be written, or a dataset is at fault.
+    """
+    table = definition.table
+    probe_output(out)
+    blocks = []
+    for block in table.blocks:
+        part = PartRequest(block.quick_sequences, table.quick.frames) if quick else None
+        watcher.say(f"{block.heading}: dataset {block.dataset.folder}")
+        blocks.append(plan_block(table, block, provide(block.dataset, part, data, jobs, make), quick))
+    failures: list[str] = []
+    for work in blocks:
+        planned = [job for row in work.rows for job in row.jobs]
+        failures += _run(work, planned, out / RECORDS, jobs, work.block.heading, watcher)
+    for work in blocks:
+        planned = [job for row in work.rows for job in row.timing]
+        failures += _run(work, planned, out / TIMING, 1, f"{work.block.heading}: latencies", watcher)
+    return blocks, failures
+
+
+def _run(work: BlockWork, planned: list[Job], out: Path, workers: int, title: str, watcher: Watcher) -> list[str]:
+    plan = make_plan(planned, out)
+    if not plan.todo:
+        return []
+    failures: list[str] = []
+
+    def finished(record: dict[str, Any]) -> None:
+        if record["status"] not in ("ok", SKIPPED):
+            spec = record["spec"]
+            failures.append(f"{spec['row_id']} {spec['unit']}: {record['status']}: {record['error']}")
+
+    watcher.say(f"{title}: {len(plan.todo)} runs, {plan.frames} frames; {plan.done} recorded already")
+    with watcher.progress(title, plan.frames) as bar:
+        run_plan(plan, work.dataset, out, workers, bar, bar.stage, finished)
+    return failures

@@ -1,0 +1,375 @@
+"""Reproduced tables end to end on a tiny one: files, resuming, the check and what it must catch; published figures."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from commandline import surgbench
+
+from surgbench.config import packaged_names
+from surgbench.errors import ConfigError, NotFoundError
+from surgbench.reproduce import figure
+from surgbench.reproduce.check import Chosen, beyond_tolerance, choose
+from surgbench.reproduce.compare import PUBLISHED, Pair, compare
+from surgbench.reproduce.consistency import inconsistencies
+from surgbench.reproduce.fingerprint import head, record_sha256
+from surgbench.reproduce.published import load_published
+from surgbench.reproduce.results import Results, read_results
+from surgbench.reproduce.table import Definition, load_table
+
+STRANGERS = Path(__file__).with_name("strangers.py")
+FRAMES = 12
+TABLE: dict[str, Any] = {
+    "title": "A tiny table",
+    "published": "hu2026",
+    "quick": {"runs": 1, "frames": 3},
+    "timing": {"runs": 1, "frames": 3},
+    "check": {"runs": 1, "frames": 5},
+    "figure": {"block": "only", "unit": "000-left", "rows": ["still", "noisy-joints"]},
+    "blocks": [
+        {
+            "name": "only",
+            "heading": "The only block",
+            "note": "Starts from the truth.",
+            "dataset": {"preset": "mini", "frames": FRAMES},
+            "quick_sequences": ["000"],
+            "published_on": "synthetic",
+            "rows": [
+                {"row_id": "still", "label": "Still", "tracker": f"{STRANGERS}:Still", "published": "gd-10"},
+                {
+                    "row_id": "noisy-joints",
+                    "label": "Noisy, with joints",
+                    "tracker": f"{STRANGERS}:Noisy",
+                    "readings": "true",
+                    "sequences": 1,
+                    "published": "gd-10-joints",
+                    "floor": "still",
+                },
+            ],
+        }
+    ],
+}
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The table, made; ``tiny.yaml``, ``data`` and ``results`` lie in the folder."""
+    folder = tmp_path_factory.mktemp("reproduce")
+    (folder / "tiny.yaml").write_text(yaml.safe_dump(TABLE), encoding="utf-8")
+    run(folder)
+    return folder
+
+
+def run(folder: Path, *arguments: object, expect: int = 0) -> None:
+    places = ("--out", folder / "results", "--data", folder / "data", "--jobs", 1)
+    surgbench("reproduce", folder / "tiny.yaml", *places, *arguments, expect=expect)
+
+
+@pytest.fixture
+def copy(made: Path, tmp_path: Path) -> Path:
+    """The made table to be changed; its dataset is not there."""
+    shutil.copy(made / "tiny.yaml", tmp_path)
+    shutil.copytree(made / "results", tmp_path / "results")
+    return tmp_path
+
+
+@pytest.fixture
+def definition(made: Path) -> Definition:
+    return load_table(str(made / "tiny.yaml"))
+
+
+@pytest.fixture
+def results(made: Path) -> Results:
+    return read_results(made / "results" / "tiny")
+
+
+# --- the files
+
+
+def test_every_file_is_there_and_fits(made: Path, definition: Definition, results: Results) -> None:
+    folder = made / "results" / "tiny"
+    found = {path.name for path in folder.iterdir()}
+    assert found == {
+        *("leaderboard.csv", "leaderboard.md", "sequences.csv", "records.json", "figure.png"),
+        *("records", "timing"),
+    }
+    assert [(row["row_id"], row["sequences"], row["frames"]) for row in results.rows] == [
+        ("still", 2, 2 * FRAMES),
+        ("noisy-joints", 1, FRAMES),
+    ]
+    assert [(one["row_id"], one["unit"], one["speed"]) for one in results.sequences] == [
+        ("still", "000-left", "nominal"),
+        ("still", "000-right", "nominal"),
+        ("noisy-joints", "000-left", "nominal"),
+    ]
+    assert inconsistencies(definition, results, folder) == []
+
+
+def test_page_has_published_figures_and_ratios(made: Path, results: Results) -> None:
+    page = (made / "results" / "tiny" / "leaderboard.md").read_text(encoding="utf-8")
+    row = results.rows[0]
+    rotation = row["rotation_error_rad"]
+    assert f"| Still | published | 0.4957 | 8.90 | 0.3378 | 0.3377 | 0.1715 | {42.40:.2f} |" in page
+    assert f"|  | ours | {rotation:.4f} ± {row['rotation_error_rad_sem']:.4f} |" in page
+    assert f"|  | ratio | **{rotation / 0.4957:.2f}×** |" in page  # bold: no worse
+    assert "Starts from the truth." in page
+    assert "NVIDIA RTX 4090" in page
+    assert "### Above the floor" in page
+    assert "not to be quoted" not in page
+
+
+def test_latencies_are_those_of_the_runs_one_at_a_time(made: Path, results: Results) -> None:
+    timed = [json.loads(path.read_text()) for path in (made / "results" / "tiny" / "timing").rglob("*.json")]
+    assert {record["spec"]["row_id"]: len(record["frames"]["index"]) for record in timed} == {
+        "still": 3,
+        "noisy-joints": 3,
+    }
+    latencies = [record["frames"]["latency_ms"] for record in timed if record["spec"]["row_id"] == "still"]
+    assert results.rows[0]["latency_ms"] == sorted(latencies[0])[1]
+
+
+def test_the_same_command_runs_only_what_is_missing(copy: Path, made: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (copy / "data").symlink_to(made / "data")
+    missing = next((copy / "results" / "tiny" / "records").rglob("noisy-joints*/000-left-r0.json"))
+    missing.unlink()
+    (copy / "results" / "tiny" / "sequences.csv").unlink()
+    run(copy)
+    assert f"1 runs, {FRAMES} frames; 2 recorded already" in capsys.readouterr().err
+    for name in ("sequences.csv", "leaderboard.csv"):
+        again, before = (
+            list(csv.DictReader((top / "results/tiny" / name).read_text().splitlines())) for top in (copy, made)
+        )
+        assert [_timeless(row) for row in again] == [_timeless(row) for row in before]
+    fingerprints = [json.loads((top / "results/tiny/records.json").read_text())["records"] for top in (copy, made)]
+    assert fingerprints[0] == fingerprints[1]
+
+
+def _timeless(path: Path) -> list[dict[str, str]]:
+    rows = csv.DictReader(path.read_text().splitlines())
+    return [{key: value for key, value in row.items() if not key.startswith("latency")} for row in rows]
+
+
+def test_quick_does_every_row_and_says_what_it_is(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run(made, "--quick")
+    assert "not to be quoted" in capsys.readouterr().out
+    quick = read_results(made / "results" / "tiny-quick")
+    assert [(row["row_id"], row["frames"]) for row in quick.rows] == [("still", 3), ("noisy-joints", 3)]
+    assert "**not to be quoted**" in (made / "results/tiny-quick/leaderboard.md").read_text(encoding="utf-8")
+    # A part of the dataset, run with the same random numbers: the same first frames.
+    for part in (made / "results/tiny-quick/records").rglob("*.json"):
+        (whole,) = (made / "results/tiny/records").rglob(f"{part.parent.name.rpartition('-')[0]}-*/{part.name}")
+        states = [json.loads(path.read_text())["frames"]["state"] for path in (part, whole)]
+        assert states[0] == states[1][:3]
+
+
+# --- the check
+
+
+def test_a_sound_table_passes(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Without the dataset: just what is needed of it is made, and the states are the same to the last bit."""
+    run(copy, "--check")
+    out, err = capsys.readouterr()
+    assert "chosen by table" in err
+    assert "identical" in out
+    assert "5 states bit for bit" in out
+    assert "confirmed (1 rows run again, 0 skipped)" in out
+    assert not (copy / "data").exists()
+
+
+@pytest.mark.parametrize(
+    ("file", "key", "column", "says"),
+    [
+        ("leaderboard.csv", "still", "q1_error_rad", "row 'still': q1_error_rad is"),
+        ("leaderboard.csv", "still", "tip_error_m_sem", "row 'still': tip_error_m_sem is"),
+        ("sequences.csv", "noisy-joints", "mask_error", "row 'noisy-joints': mask_error is"),
+        ("sequences.csv", "still", "frames", "row 'still': frames is"),
+    ],
+)
+def test_an_altered_number_is_found(
+    copy: Path, capsys: pytest.CaptureFixture[str], file: str, key: str, column: str, says: str
+) -> None:
+    path = copy / "results" / "tiny" / file
+    rows = list(csv.DictReader(path.read_text().splitlines()))
+    line = next(row for row in rows if row["row_id"] == key)
+    line[column] = str(int(line[column]) - 1) if column == "frames" else str(0.9 * float(line[column]))
+    with path.open("w", newline="") as out:
+        writer = csv.DictWriter(out, rows[0], lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+    run(copy, "--check", expect=1)
+    out_text, err = capsys.readouterr()
+    assert says in err
+    assert "not confirmed: its files do not agree" in out_text
+
+
+def test_an_altered_page_is_found_and_rendered_again(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    page = copy / "results" / "tiny" / "leaderboard.md"
+    before = page.read_text(encoding="utf-8")
+    page.write_text(before.replace("Still", "Best"), encoding="utf-8")
+    run(copy, "--check", expect=1)
+    assert "leaderboard.md: not what the other files" in capsys.readouterr().err
+    run(copy, "--render")
+    assert page.read_text(encoding="utf-8") == before
+
+
+def test_estimates_that_come_out_differently_fail(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A committed record of other errors than the rerun's: the row is named, and the exit code is 1."""
+    path = copy / "results" / "tiny" / "records.json"
+    about = json.loads(path.read_text())
+    for record in about["records"].values():
+        record["head"]["states_sha256"] = "0" * 64
+        record["head"]["errors"]["rotation_error_rad"] = [1.5, 0.01]
+        record["head"]["last"][3] += 0.25
+    path.write_text(json.dumps(about))
+    run(copy, "--check", expect=1)
+    out = capsys.readouterr().out
+    assert "differs" in out
+    assert "off by 0.25" in out
+    assert "mean rotation_error_rad" in out
+    assert "rows that come out differently: still" in out
+
+
+def test_tolerance_follows_the_spread() -> None:
+    """Other bits, as on another processor, are no difference; other errors are."""
+    committed = {"frames": 100, "errors": {"rotation_error_rad": [0.1, 0.1]}}
+    for now, beyond in ((0.1, False), (0.19, False), (0.01, False), (0.3, True), (float("inf"), True)):
+        assert bool(beyond_tolerance(committed, {"errors": {"rotation_error_rad": [now, 0.1]}})) == beyond
+    assert beyond_tolerance(committed, {"errors": {}}) == [("rotation_error_rad", 0.1, float("inf"))]
+
+
+def test_choice_follows_table_and_commit(definition: Definition, results: Results) -> None:
+    def picks(commit: str, table: str = "t") -> list[Chosen]:
+        return choose(definition, results, table, commit)
+
+    assert picks("a") == picks("a")
+    several = {(one.row.id, one.unit) for commit in "abcdefghij" for one in picks(commit)}
+    assert several == {("still", "000-left"), ("still", "000-right"), ("noisy-joints", "000-left")}
+    assert len({tuple(one.key for one in picks("a", table)) for table in "abcdefghij"}) > 1
+
+
+def test_check_without_a_table_says_so(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    surgbench("reproduce", made / "tiny.yaml", "--check", "--out", made / "nowhere", expect=2)
+    assert "records.json: missing" in capsys.readouterr().err
+
+
+# --- fingerprints
+
+
+def test_fingerprint_knows_estimates_and_not_times(made: Path) -> None:
+    path = next((made / "results" / "tiny" / "records").rglob("*.json"))
+
+    def record() -> dict[str, Any]:
+        content: dict[str, Any] = json.loads(path.read_text())
+        return content
+
+    elsewhere = record()
+    elsewhere["environment"] = {"python": "4"}
+    elsewhere["dataset_path"] = "/elsewhere"
+    elsewhere["frames"]["latency_ms"] = [1.0] * FRAMES
+    assert record_sha256(elsewhere) == record_sha256(record())
+    assert head(elsewhere, 5) == head(record(), 5)
+    other = record()
+    other["frames"]["state"][4][8] += 1e-15
+    assert record_sha256(other) != record_sha256(record())
+    assert head(other, 5)["states_sha256"] != head(record(), 5)["states_sha256"]
+    assert head(other, 4) == head(record(), 4)
+
+
+# --- tables and published figures as files
+
+
+def test_unknown_table_offers_the_nearest(capsys: pytest.CaptureFixture[str]) -> None:
+    surgbench("reproduce", "tabel1", expect=2)
+    assert "unknown table 'tabel1'; did you mean 'table1'?" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"published": "gd-11"}, "unknown published row 'gd-11'; did you mean 'gd-10'"),
+        ({"tracker": "cmeas"}, "unknown tracker 'cmeas'; did you mean 'cmaes'"),
+        ({"keypoints": "observd"}, "unknown keypoints 'observd'"),
+        ({"floor": "ground"}, "there is no row 'ground' to be its floor"),
+        ({"row_id": "noisy-joints"}, "'noisy-joints' is given twice"),
+        ({"tracker": "cmaes", "options": {"cmaes": {"iteration": 3}}}, "unknown key 'iteration'"),
+        ({"lable": "x"}, "did you mean 'label'"),
+    ],
+)
+def test_a_wrong_table_is_refused_before_any_work(tmp_path: Path, change: dict[str, Any], says: str) -> None:
+    content = json.loads(json.dumps(TABLE))
+    content["blocks"][0]["rows"][0] |= change
+    (tmp_path / "wrong.yaml").write_text(yaml.safe_dump(content), encoding="utf-8")
+    with pytest.raises((ConfigError, NotFoundError), match=says) as caught:
+        load_table(str(tmp_path / "wrong.yaml"))
+    assert "\n" not in str(caught.value)
+    assert "wrong.yaml" in str(caught.value)
+
+
+@pytest.mark.parametrize("name", packaged_names("tables"))
+def test_our_own_tables_are_sound(name: str) -> None:
+    table = load_table(name)
+    assert table.name == name
+    assert sum(1 for _ in table.table.rows()) > 0
+
+
+@pytest.mark.parametrize(
+    ("row", "data", "column", "value"),
+    [
+        ("gd-10", "synthetic", "rotation_error_rad", 0.4957),
+        ("gd-10-joints", "synthetic", "q3_error_rad", 0.0028),
+        ("gd-20", "synthetic", "latency_optimise_ms", 79.53),
+        ("gd-pytorch3d-10", "synthetic", "q1_error_rad", 0.4162),
+        ("xnes-3", "synthetic", "translation_error_m", 0.0075),
+        ("cmaes-3", "synthetic", "rotation_error_rad", 0.2136),
+        ("cmaes-3", "surgpose-normal", "mask_error", 0.0729),
+        ("cmaes-3-joints", "synthetic", "q2_error_rad", 0.0144),
+        ("cmaes-5", "surgpose-fast", "keypoint_error_px", 6.3607),
+        ("cmaes-online", "surgpose-normal", "latency_ms", 25.15),
+        ("cmaes-3-opencv-keypoints", "synthetic", "q3_error_rad", 0.7557),
+        ("dual-cmaes-3-joints", "synthetic", "translation_error_m", 0.0049),
+        ("particle-filter-1000", "collected", "mask_error", 0.2476),
+    ],
+)
+def test_published_figures_are_the_articles(row: str, data: str, column: str, value: float) -> None:
+    assert load_published("hu2026").value(row, data, column) == value
+
+
+def test_single_arm_rows_of_the_article_are_complete() -> None:
+    published = load_published("hu2026")
+    single = [row for row in published.rows.values() if row.table == "Table I, single-arm"]
+    assert len(single) == 11
+    assert sum(len(values) for row in single for values in row.data.values()) == 10 * 6 + 11 * 4 + 2
+
+
+def test_no_worse_than_published_is_met() -> None:
+    measure = PUBLISHED[0]
+    assert Pair(measure, 0.2, 0.2, None).met
+    assert Pair(measure, 0.2, 0.1, None).ratio == 0.5
+    assert not Pair(measure, 0.2, 0.2001, None).met
+    assert not Pair(measure, 0.2, None, None).met
+
+
+def test_only_rows_with_a_published_one_are_compared(definition: Definition, results: Results) -> None:
+    block = definition.table.blocks[0]
+    found = compare(block, results.rows, definition.published)
+    assert [one.row.id for one in found] == ["still", "noisy-joints"]
+    assert {pair.measure.key for pair in found[0].pairs} == {
+        *("rotation_error_rad", "translation_error_m", "q1_error_rad", "q2_error_rad", "q3_error_rad"),
+        "latency_optimise_ms",
+    }
+
+
+def test_without_matplotlib_one_line_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    import sys
+
+    from surgbench.errors import SurgbenchError
+
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    with pytest.raises(SurgbenchError, match=r"pip install 'surgbench\[plots\]'"):
+        figure.check_matplotlib()
