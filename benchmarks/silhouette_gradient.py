@@ -38,8 +38,8 @@ from surgbench.bench.workload import silhouette_workload
 from surgbench.camera import Camera
 from surgbench.contract import Mask
 from surgbench.dataset.format import Arm
+from surgbench.generators.place import Place, clearance_m
 from surgbench.generators.presets import load_preset
-from surgbench.generators.trajectories import Place, clearance_m
 from surgbench.geometry import FloatArray, look_at_rotation
 from surgbench.instrument import Instrument, load_instrument
 from surgbench.randomness import generator

@@ -20,16 +20,16 @@ from multiprocessing import connection, get_context, parent_process
 from pathlib import Path
 from typing import Any
 
-import numpy as np
+import yaml
 
 from surgbench import __version__
+from surgbench.camera import Camera
 from surgbench.dataset import tables
 from surgbench.dataset.format import (
     ARMS,
     FORMAT,
     MANIFEST_NAME,
     MARKER_NAME,
-    Arm,
     Manifest,
     MaskKind,
     SequenceEntry,
@@ -46,12 +46,14 @@ from surgbench.dataset.storage import describe_files, storage_error
 from surgbench.errors import ConfigError, DatasetError, SurgbenchError, unknown_name
 from surgbench.files import PARTIAL_SUFFIX, write_atomic
 from surgbench.generators.corruption import corrupt
-from surgbench.generators.observations import observe_joints, observe_keypoints
+from surgbench.generators.lens import Lens
+from surgbench.generators.mismatch import NO_MISMATCH, real_camera, real_instrument
 from surgbench.generators.presets import Corruption, Preset
 from surgbench.generators.render import MaskRenderer
-from surgbench.generators.trajectories import make_pair
+from surgbench.generators.sequence import make_tables
 from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument, load_instrument, save_instrument
+from surgbench.instrument.files import INSTRUMENT_FILE
 from surgbench.randomness import generator
 
 CAMERA_NAME = "endoscope"
@@ -61,7 +63,7 @@ CHUNK_FRAMES = 20
 BLOCK_BYTES = 4096
 # Of a 1-bit mask's pixels, how many bytes the PNG takes at most, measured with room to spare.
 MASK_BYTES_PER_PIXEL = 0.01
-TABLE_BYTES_PER_FRAME = 400
+TABLE_BYTES_PER_FRAME = 500
 MANIFEST_BYTES_PER_FILE = 160
 
 
@@ -84,7 +86,9 @@ class Plan:
 
     Attributes:
         preset: Effective preset.
-        instrument: Of both arms.
+        instrument: Of both arms, as it is declared.
+        real_instrument: What is rendered; the same unless the preset has a mismatch.
+        real_camera: What sees it, distortion included; the preset's unless there is a mismatch.
         sequences: The dataset's sequences.
         marker: Effective configuration as it is kept in the folder until the dataset is complete.
         instrument_files: Names and bytes of the instrument's own files.
@@ -92,6 +96,8 @@ class Plan:
 
     preset: Preset
     instrument: Instrument
+    real_instrument: Instrument
+    real_camera: Camera
     sequences: tuple[SequenceEntry, ...]
     marker: dict[str, Any]
     instrument_files: dict[str, bytes]
@@ -162,21 +168,24 @@ def plan_dataset(preset: Preset, part: Part | None = None) -> Plan:
     )
     if part is not None:
         sequences = _of_part(sequences, part)
-    with tempfile.TemporaryDirectory() as scratch:
-        folder = Path(scratch)
-        written = sorted(save_instrument(instrument, folder))
-        files = {
-            f"{instrument_folder(instrument.name)}/{path.relative_to(folder)}": path.read_bytes() for path in written
-        }
-    marker = {
+    files = _instrument_files(instrument)
+    marker: dict[str, Any] = {
         "format": FORMAT,
         # By name: the bytes must not depend on where an instrument file lies.
         "preset": {**preset.model_dump(mode="json"), "instrument": instrument.name},
-        "instrument_sha256": {path: hashlib.sha256(data).hexdigest() for path, data in files.items()},
+        "instrument_sha256": _hashes(files),
     }
     if part is not None:
         marker["part"] = {"sequences": [entry.id for entry in sequences], "frames": part.frames}
-    return Plan(preset, instrument, sequences, marker, files)
+    real, camera = real_instrument(instrument, preset.mismatch), real_camera(preset.camera, preset.mismatch)
+    if preset.mismatch != NO_MISMATCH:
+        rendered = _instrument_files(real)
+        marker["rendered"] = {
+            "camera": camera.model_dump(mode="json"),
+            "instrument": yaml.safe_load(rendered[f"{instrument_folder(real.name)}/{INSTRUMENT_FILE}"]),
+            "instrument_sha256": _hashes(rendered),
+        }
+    return Plan(preset, instrument, real, camera, sequences, marker, files)
 
 
 def _of_part(sequences: tuple[SequenceEntry, ...], part: Part) -> tuple[SequenceEntry, ...]:
@@ -189,6 +198,18 @@ def _of_part(sequences: tuple[SequenceEntry, ...], part: Part) -> tuple[Sequence
         for entry in sequences
         if entry.id in part.sequences
     )
+
+
+def _instrument_files(instrument: Instrument) -> dict[str, bytes]:
+    """The files that an instrument has in a dataset, by their place in it."""
+    with tempfile.TemporaryDirectory() as scratch:
+        root = Path(scratch)
+        written = sorted(save_instrument(instrument, root / instrument_folder(instrument.name)))
+        return {path.relative_to(root).as_posix(): path.read_bytes() for path in written}
+
+
+def _hashes(files: dict[str, bytes]) -> dict[str, str]:
+    return {path: hashlib.sha256(data).hexdigest() for path, data in files.items()}
 
 
 def generate(
@@ -230,9 +251,9 @@ def generate(
             write_atomic(out / MARKER_NAME, json.dumps(plan.marker, sort_keys=True, indent=1).encode())
             for path, data in plan.instrument_files.items():
                 write_atomic(out / path, data)
-            _render_all(plan, out, jobs, progress)
+            finished = _render_all(plan, out, jobs, progress)
             _remove_partial(out)
-            write_atomic(out / MANIFEST_NAME, _manifest(plan, out).to_bytes())
+            write_atomic(out / MANIFEST_NAME, _manifest(plan, out, finished).to_bytes())
             (out / MARKER_NAME).unlink()
     except ConfigError:
         # These settings can never be finished.
@@ -341,13 +362,18 @@ def _remove_partial(out: Path) -> None:
         path.unlink(missing_ok=True)
 
 
-def _render_all(plan: Plan, out: Path, jobs: int, progress: Callable[[float], None]) -> None:
-    """Write everything but the manifest; what is there whole stays."""
+def _render_all(plan: Plan, out: Path, jobs: int, progress: Callable[[float], None]) -> list[SequenceEntry]:
+    """Write everything but the manifest; what is there whole stays.
+
+    Returns:
+        What the manifest says of the sequences.
+    """
+    finished: list[SequenceEntry] = []
     if jobs <= 1 and _ctrl_c_raises():
         worker = _Worker(plan, out, threads=None)
-        for chunk in _chunks(plan, out):
+        for chunk in _chunks(plan, out, finished):
             worker.render(chunk, progress)
-        return
+        return finished
     jobs = max(1, jobs)
     context = get_context("spawn")
     # Without a lock, which a killed worker could take along.
@@ -355,7 +381,7 @@ def _render_all(plan: Plan, out: Path, jobs: int, progress: Callable[[float], No
     with ProcessPoolExecutor(jobs, mp_context=context, initializer=_start_worker, initargs=(plan, out, stop)) as pool:
         waiting: set[Future[int]] = set()
         try:
-            for chunk in _chunks(plan, out):
+            for chunk in _chunks(plan, out, finished):
                 # Few at a time, so that the states of a long dataset are not all held at once.
                 while len(waiting) >= 2 * jobs:
                     waiting = _collect(waiting, progress)
@@ -368,6 +394,7 @@ def _render_all(plan: Plan, out: Path, jobs: int, progress: Callable[[float], No
             stop.value = True
             pool.shutdown(wait=True, cancel_futures=True)
             raise
+    return finished
 
 
 def _ctrl_c_raises() -> bool:
@@ -399,44 +426,27 @@ def _collect(waiting: set[Future[int]], progress: Callable[[float], None]) -> se
     return rest
 
 
-def _chunks(plan: Plan, out: Path) -> Iterator[Chunk]:
-    """Write each sequence's tables and yield its frames."""
-    for entry in plan.sequences:
-        states = _write_tables(plan, out, entry)
+def _chunks(plan: Plan, out: Path, finished: list[SequenceEntry]) -> Iterator[Chunk]:
+    """Write each sequence's tables and yield its frames; ``finished`` gets its part of the manifest."""
+    for planned in plan.sequences:
+        entry, states = _write_tables(plan, out, planned)
+        finished.append(entry)
         for start in range(0, entry.frames, CHUNK_FRAMES):
             yield Chunk(entry, start, states[start : start + CHUNK_FRAMES])
 
 
-def _write_tables(plan: Plan, out: Path, entry: SequenceEntry) -> FloatArray:
-    """Write a sequence's observations and states; returns ``(frames, 2, 9)``."""
-    preset, instrument = plan.preset, plan.instrument
-    axes: dict[str, str | int] = {"dataset": preset.seed, "sequence": entry.id}
+def _write_tables(plan: Plan, out: Path, entry: SequenceEntry) -> tuple[SequenceEntry, FloatArray]:
+    """Write a sequence's observations and states.
+
+    Returns:
+        Its part of the manifest, now with the places of the arms' bases, and its ``(frames, 2, 9)`` states.
+    """
     # Of the whole sequence, also where a part of it is made: what moves or errs slowly depends on its length.
-    states: FloatArray = make_pair(
-        preset, instrument, entry.speed, preset.frames, generator(**axes, purpose="trajectory")
-    )
-    observed: dict[str, FloatArray] = {tables.TIMESTAMP: np.arange(preset.frames, dtype=np.float64) * entry.dt_s}
-    truth: dict[str, FloatArray] = {}
-    for index, arm in enumerate(entry.arms):
-        own = states[:, index]
-        points = observe_keypoints(
-            own, instrument, preset.camera, preset.keypoints, generator(**axes, arm=arm, purpose="keypoints")
-        )
-        readings = observe_joints(own, preset.readings, generator(**axes, arm=arm, purpose="readings"))
-        observed |= _columns(arm, tables.KEYPOINT_COLUMNS, points.reshape(-1, 4))
-        observed |= _columns(arm, tables.READING_COLUMNS, readings)
-        truth |= _columns(arm, tables.STATE_COLUMNS, own)
-    write_atomic(out / observations_path(entry.id), tables.encode_table(_first(observed, entry.frames)))
-    write_atomic(out / states_path(entry.id), tables.encode_table(_first(truth, entry.frames)))
-    return states[: entry.frames]
-
-
-def _first(columns: dict[str, FloatArray], frames: int) -> dict[str, FloatArray]:
-    return {name: values[:frames] for name, values in columns.items()}
-
-
-def _columns(arm: Arm, names: tuple[str, ...], values: FloatArray) -> dict[str, FloatArray]:
-    return dict(zip(tables.arm_columns(arm, names), values.T, strict=True))
+    whole = entry.model_copy(update={"frames": plan.preset.frames})
+    made = make_tables(plan.preset, whole, plan.real_instrument, plan.real_camera).first(entry.frames)
+    write_atomic(out / observations_path(entry.id), tables.encode_table(made.observed))
+    write_atomic(out / states_path(entry.id), tables.encode_table(made.truth))
+    return entry.model_copy(update={"T_cam_base": made.T_cam_base}), made.states
 
 
 class _Worker:
@@ -454,7 +464,8 @@ class _Worker:
         self.settings: Corruption = plan.preset.corruption
         self.out = out
         self._stop = stop
-        self._renderers = {arm: MaskRenderer([plan.instrument], plan.preset.camera, threads) for arm in ARMS}
+        self._lens = Lens(plan.real_camera)
+        self._renderers = {arm: MaskRenderer([plan.real_instrument], self._lens.pinhole, threads) for arm in ARMS}
 
     def render(self, chunk: Chunk, progress: Callable[[float], None] = lambda frames: None) -> int:
         """Write a chunk's masks, those that are not there; returns its number of frames."""
@@ -469,7 +480,9 @@ class _Worker:
         paths = {kind: (clean_mask_path(sequence, kind, frame), observed_path(sequence, kind, frame)) for kind in KINDS}
         if all(_is_whole_png(self.out / path) for pair in paths.values() for path in pair):
             return
-        masks: dict[str, Mask] = {arm: self._renderers[arm].mask(states[index]) for index, arm in enumerate(ARMS)}
+        masks: dict[str, Mask] = {
+            arm: self._lens.see(self._renderers[arm].mask(states[index])) for index, arm in enumerate(ARMS)
+        }
         # A ray meets one of the two if it meets either, so that the union needs no rendering of its own.
         masks["both"] = masks["left"] | masks["right"]
         for kind, (clean, observed) in paths.items():
@@ -522,7 +535,7 @@ def _configuration(plan: Plan) -> dict[str, Any]:
     return {key: value for key, value in plan.marker.items() if key != "format"}
 
 
-def _manifest(plan: Plan, out: Path) -> Manifest:
+def _manifest(plan: Plan, out: Path, sequences: list[SequenceEntry]) -> Manifest:
     name = plan.instrument.name
     return Manifest(
         name=plan.preset.name,
@@ -532,6 +545,6 @@ def _manifest(plan: Plan, out: Path) -> Manifest:
         configuration=_configuration(plan),
         cameras={CAMERA_NAME: plan.preset.camera},
         instruments={name: f"{instrument_folder(name)}/instrument.yaml"},
-        sequences=plan.sequences,
+        sequences=tuple(sequences),
         files=describe_files(out, plan.paths),
     )

@@ -5,23 +5,22 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from surgbench.camera import Camera
-from surgbench.config import SUFFIXES, locate, parse_model, read_yaml
+from surgbench.config import SUFFIXES, Section, locate, parse_model, read_yaml
 from surgbench.errors import ConfigError, unknown_name
+from surgbench.generators.sections import (
+    Correlation,
+    Finite,
+    Fraction,
+    Kinematics,
+    Mismatch,
+    NotNegative,
+    Positive,
+)
 
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Fraction = Annotated[float, Field(ge=0, le=1)]
 Range = tuple[Finite, Finite]
-
-
-class Section(BaseModel):
-    """Base of all parts of a preset: unknown keys are errors, values never change."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
 
 class WaypointInterval(Section):
@@ -34,6 +33,11 @@ class WaypointInterval(Section):
 class MaxStep(Section):
     """The most that changes from one waypoint to the next.
 
+    The paper's waypoints are every 50th pose of tracked SurgPose recordings. The defaults are how far the motions that
+    SurgPose commands (its ``trajectory_generator.m``) go in that time, in the root mean square: roll 0.4 rad and wrist
+    pitch 0.3 rad with a period of 100 frames, wrist yaw 0.6 rad and jaw 0.3 rad (half of that is q3) with one of 200,
+    positions on a spline through a box of 40 x 30 x 10 mm, which tilts a shaft of 0.2 m by 0.1 rad.
+
     Attributes:
         position_m: Length of the wrist's way.
         tilt_rad: Each of alpha and gamma.
@@ -42,17 +46,19 @@ class MaxStep(Section):
         jaw_rad: q3.
     """
 
-    position_m: Positive = 0.03
-    tilt_rad: Positive = 0.35
-    roll_rad: Positive = 0.8
-    wrist_rad: Positive = 0.6
-    jaw_rad: Positive = 0.35
+    position_m: Positive = 0.02
+    tilt_rad: Positive = 0.12
+    roll_rad: Positive = 0.57
+    wrist_rad: Positive = 0.5
+    jaw_rad: Positive = 0.15
 
 
 class Motion(Section):
     """How the instruments move.
 
     Attributes:
+        kind: ``free``: poses are interpolated. ``rcm``: the joints of a whole arm about a fixed remote centre; then
+            tilts are those of yaw and pitch, the roll's is that of the arm's roll, and lengths are those of the wrist.
         waypoint_interval: Frames between waypoints.
         fast_share: Share of the pairs, the last ones, that move fast.
         max_step: Bounds of the steps between waypoints.
@@ -63,10 +69,11 @@ class Motion(Section):
         lowpass_cutoff_hz: Cutoff of the second-order Butterworth filter run forwards and backwards.
     """
 
+    kind: Literal["free", "rcm"] = "free"
     waypoint_interval: WaypointInterval = WaypointInterval()
     fast_share: Fraction = 0.5
     max_step: MaxStep = MaxStep()
-    ou_rho: Annotated[float, Field(ge=0, lt=1)] = 0.99
+    ou_rho: Correlation = 0.99
     ou_sigma_angles_rad: tuple[NotNegative, NotNegative, NotNegative] = (0.01, 0.03, 0.01)
     ou_sigma_position_m: NotNegative = 0.002
     ou_sigma_joints_rad: NotNegative = 0.02
@@ -196,18 +203,20 @@ class Keypoints(Section):
 
 
 class Readings(Section):
-    """Joint readings of a cable-driven wrist: q + bias + drift + noise, per joint. Our choice, not published figures.
+    """Joint readings of a cable-driven wrist: q + bias + drift + stretch + noise, per joint. Our choice, not published.
 
     Attributes:
         bias_rad: Standard deviation of what is constant over a sequence.
         drift_rad: Stationary standard deviation of what changes slowly.
         drift_rho: Its correlation from frame to frame.
+        stretch_rad: How far the reading runs ahead of a moving joint, its cables stretched.
         noise_rad: Standard deviation of what is new in every frame.
     """
 
     bias_rad: NotNegative = 0.02
     drift_rad: NotNegative = 0.01
-    drift_rho: Annotated[float, Field(ge=0, lt=1)] = 0.995
+    drift_rho: Correlation = 0.995
+    stretch_rad: NotNegative = 0.0
     noise_rad: NotNegative = 0.002
 
 
@@ -230,7 +239,9 @@ class Preset(Section):
         workspace: Where they move.
         corruption: Settings, or a level: published, strong, none.
         keypoints: Noise of the tip keypoints.
-        readings: Noise of the joint readings.
+        readings: Errors of the joint readings.
+        kinematics: Errors of the robot's reading of its tool pose.
+        mismatch: How the real camera and instrument differ from those that are declared; not at all unless told.
     """
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
@@ -245,11 +256,13 @@ class Preset(Section):
     corruption: Corruption = CORRUPTION_LEVELS["published"]
     keypoints: Keypoints = Keypoints()
     readings: Readings = Readings()
+    kinematics: Kinematics = Kinematics()
+    mismatch: Mismatch = Mismatch()
 
     @model_validator(mode="after")
     def _possible(self) -> Preset:
         if any(self.camera.distortion):
-            raise ValueError("camera.distortion must be left out or zero: masks are rendered without distortion")
+            raise ValueError("camera.distortion must be left out or zero: a lens is in mismatch.distortion")
         if self.motion.lowpass_cutoff_hz >= 0.5 / self.dt_s:
             raise ValueError(f"motion.lowpass_cutoff_hz must be below half the frame rate, {0.5 / self.dt_s:g}")
         return self

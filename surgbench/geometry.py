@@ -82,3 +82,78 @@ def rotation_angle(rotation: FloatArray) -> FloatArray:
     )
     angle: FloatArray = np.arctan2(np.linalg.norm(skew, axis=-1), trace - 1.0)
     return angle
+
+
+def rigid_transform(rotation: FloatArray, translation_m: FloatArray) -> FloatArray:
+    """``(..., 4, 4)`` transforms of ``(..., 3, 3)`` rotations and ``(..., 3)`` translations."""
+    transform = np.zeros((*np.shape(translation_m)[:-1], 4, 4))
+    transform[..., :3, :3] = rotation
+    transform[..., :3, 3] = translation_m
+    transform[..., 3, 3] = 1.0
+    return transform
+
+
+def inverse_transform(transform: FloatArray) -> FloatArray:
+    """Inverses of rigid transforms ``(..., 4, 4)``."""
+    back = np.swapaxes(transform[..., :3, :3], -1, -2)
+    return rigid_transform(back, -(back @ transform[..., :3, 3, None])[..., 0])
+
+
+def is_rigid(transform: FloatArray, tolerance: float = 1e-6) -> bool:
+    """Whether a ``(4, 4)`` matrix is a rotation and a translation."""
+    rotation = transform[:3, :3]
+    orthogonal = np.abs(rotation @ rotation.T - np.eye(3)).max() <= tolerance
+    return bool(orthogonal and np.linalg.det(rotation) > 0 and (transform[3] == [0, 0, 0, 1]).all())
+
+
+def rotation_from_vector(vector_rad: FloatArray) -> FloatArray:
+    """Rotation matrices of rotation vectors (Rodrigues' formula), exact near 0.
+
+    Args:
+        vector_rad: ``(..., 3)``: the axis times the angle.
+
+    Returns:
+        ``(..., 3, 3)``.
+    """
+    vector = np.asarray(vector_rad, dtype=np.float64)
+    angle = np.linalg.norm(vector, axis=-1)[..., None, None]
+    x, y, z = np.moveaxis(vector, -1, 0)
+    zero = np.zeros_like(x)
+    rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
+    skew = np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    # numpy's sinc(t) is sin(pi t) / (pi t).
+    rotation: FloatArray = (
+        np.eye(3) + np.sinc(angle / np.pi) * skew + 0.5 * np.sinc(angle / (2.0 * np.pi)) ** 2 * (skew @ skew)
+    )
+    return rotation
+
+
+def rotation_vector(rotation: FloatArray) -> FloatArray:
+    """Inverse of :func:`rotation_from_vector`, exact near 0 and near pi.
+
+    Args:
+        rotation: ``(..., 3, 3)`` rotation matrices.
+
+    Returns:
+        ``(..., 3)``: the axis times the angle, of length at most pi.
+    """
+    r = np.asarray(rotation, dtype=np.float64)
+    xx, yy, zz = r[..., 0, 0], r[..., 1, 1], r[..., 2, 2]
+    sx, sy, sz = r[..., 2, 1] - r[..., 1, 2], r[..., 0, 2] - r[..., 2, 0], r[..., 1, 0] - r[..., 0, 1]
+    xy, xz, yz = r[..., 0, 1] + r[..., 1, 0], r[..., 0, 2] + r[..., 2, 0], r[..., 1, 2] + r[..., 2, 1]
+    # Four times the products of the quaternion (w, x, y, z) with itself; the row of its largest part is well scaled.
+    rows = [
+        [1 + xx + yy + zz, sx, sy, sz],
+        [sx, 1 + xx - yy - zz, xy, xz],
+        [sy, xy, 1 - xx + yy - zz, yz],
+        [sz, xz, yz, 1 - xx - yy + zz],
+    ]
+    products = np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    largest = np.argmax(np.diagonal(products, axis1=-2, axis2=-1), axis=-1)
+    quaternion = np.take_along_axis(products, largest[..., None, None], axis=-2)[..., 0, :]
+    quaternion = quaternion / np.linalg.norm(quaternion, axis=-1, keepdims=True)
+    quaternion = np.where(quaternion[..., :1] < 0, -quaternion, quaternion)
+    length = np.linalg.norm(quaternion[..., 1:], axis=-1, keepdims=True)
+    angle = 2.0 * np.arctan2(length, quaternion[..., :1])
+    vector: FloatArray = quaternion[..., 1:] * np.divide(angle, length, out=np.full_like(angle, 2.0), where=length > 0)
+    return vector

@@ -160,6 +160,29 @@ def jitter(tips: FloatArray, dt_s: float) -> float:
     return float(np.sqrt((acceleration**2).sum(axis=-1).mean()))
 
 
+def lag(positions: FloatArray, true_positions: FloatArray, dt_s: float) -> float:
+    """By how much time positions trail behind the true motion: least squares of their error on the true velocity.
+
+    A position that is late by ``tau`` is off by ``-tau v``, so that ``tau = -sum(e . v) / sum(v . v)`` with the error
+    ``e`` and the true velocity ``v`` (central differences, hence without the first and the last frame). Errors that
+    have nothing to do with the motion cancel; negative means ahead.
+
+    Args:
+        positions: ``(T, 3)`` estimates or search starts of consecutive frames, metres.
+        true_positions: Same shape.
+        dt_s: Seconds between frames.
+
+    Returns:
+        Seconds; NaN without motion, which fewer than three frames are.
+    """
+    estimate, true = np.asarray(positions, dtype=np.float64), np.asarray(true_positions, dtype=np.float64)
+    velocity = (true[2:] - true[:-2]) / (2 * dt_s)
+    moved = float((velocity**2).sum())
+    if moved == 0.0:
+        return float("nan")
+    return -float(((estimate - true)[1:-1] * velocity).sum()) / moved
+
+
 @dataclass(frozen=True)
 class Summary:
     """One error over all sequences; ``None`` where there is nothing to take it of.

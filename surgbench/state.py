@@ -20,9 +20,9 @@ ANGLES = slice(0, 3)
 POSITION = slice(3, 6)
 JOINTS = slice(6, 9)
 
-# Natural step of each component: 0.01 rad for alpha and gamma, 0.1 rad for beta, 1 mm, 0.1 rad for joints
-# (the paper's released settings; see docs/conventions.md).
-STATE_SCALE = np.array([0.01, 0.1, 0.01, 1e-3, 1e-3, 1e-3, 0.1, 0.1, 0.1])
+# Natural step of each component: 0.01 rad for alpha and gamma, 0.1 rad for beta, 1 mm, 0.1 rad for the wrist joints
+# and for the opening between the jaws, half of which is q3 (the paper's released settings; see docs/conventions.md).
+STATE_SCALE = np.array([0.01, 0.1, 0.01, 1e-3, 1e-3, 1e-3, 0.1, 0.1, 0.05])
 
 
 @dataclass(frozen=True)

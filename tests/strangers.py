@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import os
+import random
 import time
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+
+from surgbench.contract import Estimate
+from surgbench.errors import SurgbenchError
 
 
 class Still:
@@ -111,8 +116,6 @@ class NanConfidence(Still):
     name = "nan-confidence"
 
     def step(self, observation: Any) -> Any:
-        from surgbench.contract import Estimate
-
         return Estimate(observation.start, confidence=float("nan"))
 
 
@@ -170,3 +173,194 @@ class ForgetfulOracle:
     def predict(self) -> Any: ...
 
     def update(self, estimate: Any) -> Any: ...
+
+
+# --- one broken rule each, for `surgbench check tracker`
+
+
+class NoisyFromEverybodys(Still):
+    """Draws from NumPy's global generator."""
+
+    name = "everybodys"
+
+    def step(self, observation: Any) -> Any:
+        return observation.start + np.random.normal(0, 1e-3)  # noqa: NPY002
+
+
+class SeedsEverybodys(Noisy):
+    """Seeds the global generator of Python, and draws from its own."""
+
+    name = "seeds-everybodys"
+
+    def reset(self, scene: Any, state: Any, rng: Any) -> None:
+        super().reset(scene, state, rng)
+        random.seed(0)
+
+
+class NoisyFromNowhere(Still):
+    """A generator of its own that nobody has seeded."""
+
+    name = "nowhere"
+
+    def step(self, observation: Any) -> Any:
+        return observation.start + np.random.default_rng().normal(0, 1e-3)
+
+
+class Remembers(Still):
+    """Counts frames, and goes on counting in the next sequence."""
+
+    name = "remembers"
+
+    def __init__(self) -> None:
+        self.frames = 0
+
+    def step(self, observation: Any) -> Any:
+        self.frames += 1
+        return observation.start + 1e-4 * self.frames
+
+
+class Unpicklable(Still):
+    name = "unpicklable"
+
+    def reset(self, scene: Any, state: Any, rng: Any) -> None:
+        self.shift: Callable[[Any], Any] = lambda start: start
+
+    def step(self, observation: Any) -> Any:
+        return self.shift(observation.start)
+
+
+class LosesItsPlace(Noisy):
+    """Leaves its generator behind when it is pickled."""
+
+    name = "loses-its-place"
+
+    def __getstate__(self) -> Any:
+        return {"state": self.state, "rng": np.random.default_rng(0)}
+
+
+class WritesMask(Still):
+    name = "writes-mask"
+
+    def step(self, observation: Any) -> Any:
+        observation.mask[:] = False
+        return observation.start
+
+
+class WritesState(Still):
+    name = "writes-state"
+
+    def reset(self, scene: Any, state: Any, rng: Any) -> None:
+        state += 1.0
+
+
+class BeyondLimits(Still):
+    name = "beyond-limits"
+
+    def step(self, observation: Any) -> Any:
+        return observation.start + np.eye(9)[8] * 2.0
+
+
+class TooSure(Still):
+    name = "too-sure"
+
+    def step(self, observation: Any) -> Any:
+        return Estimate(observation.start, confidence=2.0)
+
+
+class DividesByTheMask(Still):
+    """NaN where the mask is empty."""
+
+    name = "divides"
+
+    def step(self, observation: Any) -> Any:
+        with np.errstate(invalid="ignore"):
+            return observation.start + 0.0 * np.float64(1.0) / np.float64(observation.mask.sum())
+
+
+class NeedsTips(Still):
+    name = "needs-tips"
+
+    def step(self, observation: Any) -> Any:
+        return observation.start + 0.0 * observation.views[0].keypoints[0].sum()
+
+
+class NeedsReadings(Still):
+    """Readings once are readings for ever, it thinks."""
+
+    name = "needs-readings"
+
+    def reset(self, scene: Any, state: Any, rng: Any) -> None:
+        self.had = False
+
+    def step(self, observation: Any) -> Any:
+        self.had = self.had or observation.joints is not None
+        return observation.start + 0.0 * observation.joints.sum() if self.had else observation.start
+
+
+class LostBehindTheCamera(Still):
+    name = "lost-behind"
+
+    def step(self, observation: Any) -> Any:
+        return observation.start * (np.nan if observation.start[5] < 0 else 1.0)
+
+
+class Dawdles(Still):
+    name = "dawdles"
+
+    def step(self, observation: Any) -> Any:
+        time.sleep(0.02)
+        return observation.start
+
+
+class OneArm(Still):
+    """Says what it does not do, as it should."""
+
+    name = "one-arm"
+
+    def reset(self, scene: Any, state: Any, rng: Any) -> None:
+        if scene.arms != 1:
+            raise SurgbenchError("one-arm follows one arm only")
+
+
+class OneArmInSilence(Still):
+    name = "one-arm-in-silence"
+
+    def step(self, observation: Any) -> Any:
+        return observation.start[:9]
+
+
+class NeedsKinematics(Still):
+    """Runs with the robot's own readings only, and says so."""
+
+    name = "needs-kinematics"
+
+    def step(self, observation: Any) -> Any:
+        if observation.kinematics is None:
+            raise SurgbenchError("needs-kinematics needs a dataset with kinematics")
+        assert observation.kinematics.shape == (len(observation.start) // 9, 4, 4)
+        return observation.start
+
+
+class ShowsOthers(Noisy):
+    """Draws once more when somebody looks."""
+
+    name = "shows-others"
+    trace: Any = None
+
+    def step(self, observation: Any) -> Any:
+        if self.trace is not None:
+            self.rng.normal()
+        return super().step(observation)
+
+
+class BreaksDown(Still):
+    """Takes the process down on a full mask, and sleeps on an empty one."""
+
+    name = "breaks-down"
+
+    def step(self, observation: Any) -> Any:
+        if observation.mask.all():
+            os._exit(4)
+        if not observation.mask.any():
+            time.sleep(3600)
+        return observation.start

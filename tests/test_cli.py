@@ -21,6 +21,7 @@ COMMANDS = [
     ("video",),
     ("list",),
     ("bench", "silhouettes"),
+    ("check", "tracker"),
 ]
 
 

@@ -231,7 +231,7 @@ def test_keypoints_are_noisy_unordered_and_drop_out(instrument: Instrument, came
 def test_readings_have_bias_drift_and_noise() -> None:
     states = np.zeros((1000, 9))
     settings = Readings(bias_rad=0.02, drift_rad=0.01, noise_rad=0.002)
-    readings = np.stack([observe_joints(states, settings, generator(test=index)) for index in range(100)])
+    readings = np.stack([observe_joints(states, settings, 1 / 30, generator(test=index)) for index in range(100)])
     assert readings.shape == (100, 1000, 3)
     assert readings.std() == pytest.approx(np.sqrt(0.02**2 + 0.01**2 + 0.002**2), rel=0.15)
     assert np.diff(readings, axis=1).std() == pytest.approx(np.sqrt(2 * 0.002**2 + 2 * 0.005 * 0.01**2), rel=0.1)

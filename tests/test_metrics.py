@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from surgbench.metrics import (
     choose_twin,
     jitter,
     keypoint_error,
+    lag,
     mask_error,
     pose_errors,
     rotation_error,
@@ -175,6 +177,37 @@ def test_jitter_is_the_acceleration_of_the_midpoint() -> None:
     assert jitter(tips, dt_s) == pytest.approx(0.3)
     assert jitter(tips[:, ::-1], dt_s) == pytest.approx(0.3)
     assert np.isnan(jitter(tips[:2], dt_s))
+
+
+@pytest.mark.parametrize("frames_late", [-2, 0, 1, 3])
+def test_lag_of_a_delayed_trajectory_is_the_delay(frames_late: int) -> None:
+    """At constant velocity exactly; errors across the motion do not count."""
+    dt_s = 0.04
+    time = np.arange(50)[:, None] * dt_s
+    velocity = np.array([0.02, -0.01, 0.005])
+    truth, late = time * velocity, (time - frames_late * dt_s) * velocity
+    assert lag(late, truth, dt_s) == pytest.approx(frames_late * dt_s, abs=1e-12)
+    aside = late + np.array([0.01, 0.02, 0.0])
+    assert lag(aside, truth, dt_s) == pytest.approx(frames_late * dt_s, abs=1e-12)
+
+
+def test_lag_of_a_swinging_trajectory_delayed_by_frames() -> None:
+    def place(time: Any) -> Any:
+        return np.stack([np.sin(time), np.cos(1.3 * time), 0 * time], axis=-1)
+
+    dt_s = 1 / 30
+    time = np.arange(300) * dt_s
+    shifted = place(time - 2 * dt_s)
+    assert lag(shifted, place(time), dt_s) == pytest.approx(2 * dt_s, rel=0.01)
+    trembling = shifted + generator(test="lag").normal(0, 1e-2, shifted.shape)
+    assert lag(trembling, place(time), dt_s) == pytest.approx(2 * dt_s, rel=0.05)
+
+
+def test_lag_without_motion_is_none() -> None:
+    still = np.ones((10, 3))
+    assert np.isnan(lag(still + 0.1, still, 0.05))
+    assert np.isnan(lag(still[:2], np.arange(6.0).reshape(2, 3), 0.05))
+    assert np.isnan(lag(np.empty((0, 3)), np.empty((0, 3)), 0.05))
 
 
 def test_summarise_weighs_sequences_equally_and_spreads() -> None:

@@ -22,19 +22,19 @@ from surgbench.report.rows import ERRORS, INSTRUMENT_COLUMNS, Row, read_rows
 
 GOLDEN_CSV = """\
 row_id,task,dataset,tracker,variant,settings_hash,status,error,sequences,frames,repeats,coverage,latency_ms,\
-latency_ms_p95,latency_optimise_ms,latency_keypoints_ms,latency_masks_ms,calibration_ratio,arms,iterations,readings,\
-initialiser,keypoints,filter,floor,views,level,rotation_error_rad,rotation_error_rad_std,rotation_error_rad_sem,\
+latency_ms_p95,latency_optimise_ms,latency_keypoints_ms,latency_masks_ms,latency_filter_ms,calibration_ratio,arms,\
+iterations,readings,initialiser,keypoints,filter,floor,views,level,rotation_error_rad,rotation_error_rad_std,rotation_error_rad_sem,\
 translation_error_m,translation_error_m_std,translation_error_m_sem,tip_error_m,tip_error_m_std,tip_error_m_sem,\
 q1_error_rad,q1_error_rad_std,q1_error_rad_sem,q2_error_rad,q2_error_rad_std,q2_error_rad_sem,q3_error_rad,\
 q3_error_rad_std,q3_error_rad_sem,mask_error,mask_error_std,mask_error_sem,mask_error_true,mask_error_true_std,\
-mask_error_true_sem,keypoint_error_px,keypoint_error_px_std,keypoint_error_px_sem,jitter,lost_frames
-cmaes,instrument,mini,cmaes,none/truth kalman,HASH,ok,,2,10,1,1.0,12.0,14.549999999999999,10.0,,2.0,,single,3,none,\
+mask_error_true_sem,keypoint_error_px,keypoint_error_px_std,keypoint_error_px_sem,jitter,lag_ms,start_lag_ms,lost_frames
+cmaes,instrument,mini,cmaes,none/truth kalman,HASH,ok,,2,10,1,1.0,12.0,14.549999999999999,10.0,,2.0,,,single,3,none,\
 truth,dataset,kalman,False,1,,0.30000000000000004,0.157797338380595,0.05,0.003,0.0015779733838059502,0.0005,0.006,\
 0.0031559467676119004,0.001,0.15000000000000002,0.0788986691902975,0.025,0.07500000000000001,0.03944933459514875,\
 0.0125,0.037500000000000006,0.019724667297574376,0.00625,0.060000000000000005,0.031559467676119,0.010000000000000002,\
-0.030000000000000002,0.0157797338380595,0.005000000000000001,3.0,1.5779733838059502,0.5,0.5,2
-stuck,instrument,mini,cmaes,none/truth kalman,HASH,failed,ValueError: step | returned (3\\,),1,0,1,0.0,,,,,,,single,3,\
-none,truth,dataset,kalman,False,1,,,,,,,,,,,,,,,,,,,,,,,,,,,,,,0
+0.030000000000000002,0.0157797338380595,0.005000000000000001,3.0,1.5779733838059502,0.5,0.5,,,2
+stuck,instrument,mini,cmaes,none/truth kalman,HASH,failed,ValueError: step | returned (3\\,),1,0,1,0.0,,,,,,,,single,3,\
+none,truth,dataset,kalman,False,1,,,,,,,,,,,,,,,,,,,,,,,,,,,,,,,,0
 """
 
 GOLDEN_MARKDOWN = """\
@@ -64,7 +64,7 @@ def only(rows: list[Row]) -> Row:
 def test_row_has_exactly_the_columns_of_the_design(runs: Path) -> None:
     for row in read_rows([runs]):
         assert tuple(row) == INSTRUMENT_COLUMNS
-    assert len(INSTRUMENT_COLUMNS) == len(set(INSTRUMENT_COLUMNS)) == 18 + 9 + 9 * 3 + 2
+    assert len(INSTRUMENT_COLUMNS) == len(set(INSTRUMENT_COLUMNS)) == 19 + 9 + 9 * 3 + 4
 
 
 def test_golden_csv(runs: Path) -> None:
@@ -112,6 +112,28 @@ def test_latency_is_the_median_over_all_frames(tmp_path: Path) -> None:
     assert row["latency_ms"] == np.median(pooled)
     assert row["latency_ms_p95"] == pytest.approx(np.percentile(pooled, 95))
     assert row["latency_keypoints_ms"] is None
+
+
+def test_lags_and_the_filters_time_are_in_rows_of_new_records_only(tmp_path: Path) -> None:
+    old = only(read_rows([write(tmp_path / "old", record())]))
+    assert (old["latency_filter_ms"], old["lag_ms"], old["start_lag_ms"]) == (None, None, None)
+    new = []
+    for unit, lag in (("000-left", 10.0), ("001-left", 20.0)):
+        content = record(unit=unit, frames=3)
+        content["frames"]["latency_filter_ms"] = [0.1, 0.2, 0.3]
+        content["errors"] |= {"lag_ms": [lag], "start_lag_ms": [None]}
+        new.append(content)
+    row = only(read_rows([write(tmp_path / "new", *new)]))
+    assert (row["latency_filter_ms"], row["lag_ms"], row["start_lag_ms"]) == (0.2, 15.0, None)
+
+
+def test_a_start_lag_stands_in_markdown_and_in_wide_terminals(tmp_path: Path) -> None:
+    content = record()
+    content["errors"]["start_lag_ms"] = [12.34]
+    rows = read_rows([write(tmp_path, content)])
+    assert "| start lag [ms] |" in render.markdown(rows)
+    assert "12.3" in render.table(rows, width=140)
+    assert "12.3" not in render.table(rows, width=100)
 
 
 def test_without_truth_only_the_mask_error_is_left(tmp_path: Path) -> None:

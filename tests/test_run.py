@@ -195,6 +195,17 @@ def test_replay_shows_the_runs_own_samples(dataset: Path, tmp_path: Path) -> Non
     assert traces[2].states[best][0].tolist() == record["frames"]["state"][2]
 
 
+def test_lags_and_the_filters_time_are_recorded(dataset: Path, tmp_path: Path) -> None:
+    """The still tracker stays where it began while the instrument moves on: it trails behind."""
+    surgbench("run", "--dataset", dataset, "--tracker", f"{STRANGERS}:Still", "--out", tmp_path, "--filter", "none")
+    for record in records(tmp_path):
+        errors, frames = record["errors"], record["frames"]
+        assert errors["lag_ms"] == errors["start_lag_ms"]
+        assert errors["lag_ms"][0] > 0
+        for filter_ms, all_ms in zip(frames["latency_filter_ms"], frames["latency_ms"], strict=True):
+            assert 0 < filter_ms < all_ms
+
+
 def test_dry_run_writes_nothing(dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     surgbench("run", "--dataset", dataset, "--tracker", "cmaes", "--dry-run", "--out", tmp_path / "runs")
     assert not (tmp_path / "runs").exists()

@@ -130,6 +130,7 @@ def test_the_truth_starts_every_frame(dataset: Path, tmp_path: Path) -> None:
     row = only(tmp_path)
     assert row["floor"]
     assert row["rotation_error_rad"] == row["tip_error_m"] == 0.0
+    assert row["lag_ms"] == row["start_lag_ms"] == 0.0
     assert "NOT FOR RANKING" in row["variant"]
 
 

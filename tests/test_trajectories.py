@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from surgbench.errors import ConfigError
+from surgbench.generators.place import clearance_m
 from surgbench.generators.presets import Preset, Workspace, load_preset
-from surgbench.generators.trajectories import clearance_m, make_pair, ornstein_uhlenbeck
+from surgbench.generators.trajectories import make_pair, ornstein_uhlenbeck
 from surgbench.geometry import FloatArray, look_at_rotation, wrap_angle
 from surgbench.instrument import Instrument, load_instrument
 from surgbench.randomness import generator

@@ -31,7 +31,7 @@ class RendererProcess(Child):
     """
 
     def __init__(self, threads: int, cores: Iterable[int]) -> None:
-        self._timeout_s = TIMEOUT_S
+        self.timeout_s = TIMEOUT_S
         self._connection, theirs = Pipe()
         numbers = ",".join(map(str, cores))
         self._process = subprocess.Popen(

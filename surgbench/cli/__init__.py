@@ -13,6 +13,7 @@ import typer
 
 from surgbench import __version__
 from surgbench.cli.bench import bench_app
+from surgbench.cli.check import tracker
 from surgbench.cli.generate import generate
 from surgbench.cli.import_ import masks
 from surgbench.cli.list_ import list_names
@@ -34,6 +35,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
     epilog="Example: surgbench generate mini --out data/mini && surgbench run --dataset data/mini --tracker cmaes",
 )
+check_app = typer.Typer(no_args_is_help=True, help="See whether a plug-in keeps the rules.", rich_markup_mode=None)
 import_app = typer.Typer(no_args_is_help=True, help="Turn recordings into datasets.", rich_markup_mode=None)
 
 
@@ -64,7 +66,17 @@ app.command("report")(report)
 app.command("reproduce")(reproduce)
 app.command("video")(video)
 app.command("list")(list_names)
+check_app.command("tracker")(tracker)
+app.add_typer(check_app, name="check")
 app.add_typer(bench_app, name="bench")
+
+
+@check_app.callback()
+def _check() -> None:
+    """See whether a plug-in keeps the rules.
+
+    Example: surgbench check tracker cmaes
+    """
 
 
 @import_app.callback()

@@ -6,11 +6,13 @@ import json
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Any, Final, Literal
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
-from surgbench.camera import Camera
+from surgbench.camera import Camera, Finite
 from surgbench.errors import DatasetError
 from surgbench.files import canonical_json
+from surgbench.geometry import is_rigid
 
 FORMAT: Final = "surgbench-dataset-1"
 MANIFEST_NAME = "dataset.json"
@@ -39,6 +41,9 @@ CONVENTIONS = {
     "both: their union",
     "keypoints": "two jaw tips per arm, in no particular order; NaN: not seen",
     "readings": "joint readings as the robot gives them (q1, q2, q3; may lie outside the limits); NaN: no reading",
+    "kinematics": "T_base_tool as the robot reads it: the wrist-pitch frame in the frame of the arm's base, as a "
+    "rotation vector (rx, ry, rz) and a position (x, y, z); T_cam_base, row by row: the nominal place of that base in "
+    "the camera frame; NaN: no reading",
     "missing": "NaN",
 }
 VISIBILITY = {
@@ -76,6 +81,8 @@ class SequenceEntry(Part):
         keypoints: Whether observations have tip keypoints.
         readings: Whether observations have joint readings.
         truth: Whether ``truth/<id>/`` is there.
+        T_cam_base: Arm to the nominal place of its base frame in the camera frame, ``(4, 4)`` row by row, of every arm
+            whose tool poses the observations hold; empty where they hold none.
         source_frames: File stems in the recording this was imported from.
     """
 
@@ -91,6 +98,7 @@ class SequenceEntry(Part):
     keypoints: bool = False
     readings: bool = False
     truth: bool = False
+    T_cam_base: dict[Arm, Annotated[tuple[Finite, ...], Field(min_length=16, max_length=16)]] = {}
     source_frames: tuple[str, ...] = ()
 
     @model_validator(mode="after")
@@ -101,6 +109,11 @@ class SequenceEntry(Part):
             raise ValueError("instruments must name one instrument per arm")
         if len(set(self.kinds)) != len(self.kinds):
             raise ValueError("a kind is named twice")
+        if self.T_cam_base and set(self.T_cam_base) != set(self.arms):
+            raise ValueError("T_cam_base must have every arm, or none")
+        for arm, numbers in self.T_cam_base.items():
+            if not is_rigid(np.reshape(numbers, (4, 4))):
+                raise ValueError(f"T_cam_base of the {arm} arm is not a rotation and a translation")
         return self
 
 

@@ -26,7 +26,7 @@ from surgbench.dataset.format import (
 )
 from surgbench.dataset.masks import Mask, read_bytes, read_image, read_mask
 from surgbench.errors import DatasetError, unknown_name
-from surgbench.geometry import FloatArray
+from surgbench.geometry import FloatArray, rigid_transform, rotation_from_vector
 from surgbench.instrument import Instrument, load_instrument
 
 
@@ -138,6 +138,25 @@ class Sequence:
             return None
         return tables.stack(self._observations, tables.arm_columns(arm, tables.READING_COLUMNS))
 
+    def kinematics(self, arm: Arm) -> FloatArray | None:
+        """``(frames, 4, 4)`` the robot's own readings of T_base_tool, NaN where one is missing.
+
+        ``None`` if the sequence has none. The base is that of :meth:`T_cam_base`.
+        """
+        self._check_arm(arm)
+        if not self.entry.T_cam_base:
+            return None
+        poses = tables.stack(self._observations, tables.arm_columns(arm, tables.KINEMATICS_COLUMNS))
+        transforms = rigid_transform(rotation_from_vector(poses[:, :3]), poses[:, 3:])
+        transforms[np.isnan(poses).any(axis=1)] = np.nan
+        return transforms
+
+    def T_cam_base(self, arm: Arm) -> FloatArray | None:  # noqa: N802
+        """``(4, 4)`` nominal place of the arm's base in the camera frame; ``None`` if there are no kinematics."""
+        self._check_arm(arm)
+        numbers = self.entry.T_cam_base.get(arm)
+        return None if numbers is None else np.reshape(numbers, (4, 4)).astype(np.float64)
+
     def states(self, arm: Arm) -> FloatArray | None:
         """``(frames, 9)`` true states; ``None`` if the sequence has no truth."""
         self._check_arm(arm)
@@ -179,6 +198,8 @@ def observation_columns(entry: SequenceEntry) -> list[str]:
             columns += tables.arm_columns(arm, tables.KEYPOINT_COLUMNS)
         if entry.readings:
             columns += tables.arm_columns(arm, tables.READING_COLUMNS)
+        if entry.T_cam_base:
+            columns += tables.arm_columns(arm, tables.KINEMATICS_COLUMNS)
     return columns
 
 

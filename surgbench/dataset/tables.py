@@ -15,6 +15,8 @@ TIMESTAMP = "timestamp_s"
 STATE_COLUMNS = ("alpha_rad", "beta_rad", "gamma_rad", "x_m", "y_m", "z_m", "q1_rad", "q2_rad", "q3_rad")
 KEYPOINT_COLUMNS = ("u1_px", "v1_px", "u2_px", "v2_px")
 READING_COLUMNS = ("q1_rad", "q2_rad", "q3_rad")
+# T_base_tool as the robot reads it: rotation vector, then position.
+KINEMATICS_COLUMNS = ("base_rx_rad", "base_ry_rad", "base_rz_rad", "base_x_m", "base_y_m", "base_z_m")
 
 
 def arm_columns(arm: str, names: Sequence[str]) -> list[str]:

@@ -130,6 +130,16 @@ def _check_observations(root: Path, entry: SequenceEntry, camera: Camera) -> lis
             bad = (np.isinf(readings) | (np.abs(readings) > np.pi)).any(axis=1)
             if bad.any():
                 problems.append(f"{path}: frame {_first(bad)}: a joint reading of the {arm} arm is outside [-pi, pi]")
+        if entry.T_cam_base:
+            poses = tables.stack(values, tables.arm_columns(arm, tables.KINEMATICS_COLUMNS))
+            missing = np.isnan(poses).all(axis=1)
+            turn = np.linalg.norm(poses[:, :3], axis=1)
+            bad = ~missing & ~(np.isfinite(poses).all(axis=1) & (turn <= np.pi + TOLERANCE_RAD))
+            if bad.any():
+                problems.append(
+                    f"{path}: frame {_first(bad)}: the {arm} arm's tool pose is not finite, or its rotation vector is "
+                    "longer than pi"
+                )
     return problems
 
 

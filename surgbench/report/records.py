@@ -15,6 +15,7 @@ from surgbench.geometry import FloatArray
 
 RECORD_FORMAT = "surgbench-record-1"
 SKIPPED = "skipped"  # the status of a run that the machine lacks something for
+PER_ARM = ("jitter", "lag_ms", "start_lag_ms")  # errors that have one value for all frames together
 _FORMAT_STEM = "surgbench-record-"
 
 Number = float | None
@@ -70,6 +71,7 @@ class Frames(_Part):
     latency_optimise_ms: list[Number] = []
     latency_keypoints_ms: list[Number] = []
     latency_masks_ms: list[Number] = []
+    latency_filter_ms: list[Number] = []
 
     @model_validator(mode="after")
     def _same_length(self) -> Frames:
@@ -93,7 +95,7 @@ class Record(_Part):
     Attributes:
         path: The file it was read from.
         errors: Error name to ``(T,)`` or ``(T, arms)`` values, NaN where a frame has none; a missing truth
-            leaves the name out. ``jitter`` is one number per arm.
+            leaves the name out. Those of ``PER_ARM`` are one number per arm.
         unit_frames: Frames that were asked for.
         dataset_frames: Frames of all units of the dataset; ``None`` in records of old versions.
         floor: The filter knew the truth.
@@ -116,7 +118,7 @@ class Record(_Part):
     @model_validator(mode="after")
     def _errors_match(self) -> Record:
         for key, values in self.errors.items():
-            if key != "jitter" and len(values) != len(self.frames.index):
+            if key not in PER_ARM and len(values) != len(self.frames.index):
                 raise ValueError(f"'errors.{key}' has {len(values)} entries but 'index' has {len(self.frames.index)}")
         return self
 

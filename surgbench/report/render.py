@@ -76,6 +76,7 @@ COLUMNS = (
     Column("q2_error_rad", "q2\nrad", "q2 [rad]", 3, best=True),
     Column("q3_error_rad", "q3\nrad", "q3 [rad]", 3, best=True),
     Column("keypoint_error_px", "tips\npx", "keypoints [px]", 1, best=True),
+    Column("start_lag_ms", "start\nlag ms", "start lag [ms]", 1, from_width=130),
     Column("latency_ms", "time\nms", "latency [ms]", 1, best=True),
     Column("latency_ms_p95", "p95\nms", "p95 [ms]", 1, from_width=100),
 )

@@ -10,14 +10,14 @@ import numpy as np
 
 from surgbench.geometry import FloatArray
 from surgbench.metrics import POSE_ERRORS, summarise
-from surgbench.report.records import SKIPPED, Record, read_records
+from surgbench.report.records import PER_ARM, SKIPPED, Record, read_records
 
 Row = dict[str, Any]
 
 COMMON_COLUMNS = (
     "row_id", "task", "dataset", "tracker", "variant", "settings_hash", "status", "error", "sequences", "frames",
     "repeats", "coverage", "latency_ms", "latency_ms_p95", "latency_optimise_ms", "latency_keypoints_ms",
-    "latency_masks_ms", "calibration_ratio",
+    "latency_masks_ms", "latency_filter_ms", "calibration_ratio",
 )  # fmt: skip
 SETTING_COLUMNS = ("arms", "iterations", "readings", "initialiser", "keypoints", "filter", "floor", "views", "level")
 ERRORS = (*POSE_ERRORS[:-1], "mask_error", "mask_error_true", POSE_ERRORS[-1])
@@ -25,7 +25,7 @@ INSTRUMENT_COLUMNS = (
     *COMMON_COLUMNS,
     *SETTING_COLUMNS,
     *(f"{error}{suffix}" for error in ERRORS for suffix in ("", "_std", "_sem")),
-    "jitter",
+    *PER_ARM,
     "lost_frames",
 )
 
@@ -102,6 +102,7 @@ def _row(records: list[Record]) -> Row:
         "latency_optimise_ms": _median(_pooled(records, "latency_optimise_ms")),
         "latency_keypoints_ms": _median(_pooled(records, "latency_keypoints_ms")),
         "latency_masks_ms": _median(_pooled(records, "latency_masks_ms")),
+        "latency_filter_ms": _median(_pooled(records, "latency_filter_ms")),
         "calibration_ratio": None,
         "arms": "single" if len(spec.arms) == 1 else "dual",
         "iterations": spec.tracker.options.get("iterations"),
@@ -116,7 +117,7 @@ def _row(records: list[Record]) -> Row:
     for error in ERRORS:
         summary = summarise(_by_sequence(records, error))
         row |= {error: summary.mean, f"{error}_std": summary.std, f"{error}_sem": summary.sem}
-    row["jitter"] = summarise(_by_sequence(records, "jitter")).mean
+    row |= {name: summarise(_by_sequence(records, name)).mean for name in PER_ARM}
     row["lost_frames"] = sum(sum(record.frames.lost) for record in records)
     return row
 

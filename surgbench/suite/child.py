@@ -32,13 +32,17 @@ class Child:
 
     Args:
         timeout_s: The longest silence that is waited for.
+        module: What it runs.
+
+    Attributes:
+        timeout_s: May be changed between messages.
     """
 
-    def __init__(self, timeout_s: float) -> None:
-        self._timeout_s = timeout_s
+    def __init__(self, timeout_s: float, module: str = "surgbench.suite.worker") -> None:
+        self.timeout_s = timeout_s
         self._connection, theirs = Pipe()
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "surgbench.suite.worker", str(theirs.fileno())],
+            [sys.executable, "-m", module, str(theirs.fileno())],
             pass_fds=[theirs.fileno()],
             env={**os.environ, **ONE_THREAD},
         )
@@ -72,8 +76,8 @@ class Child:
             ChildProblemError: It reports a problem, ended, or said nothing for too long.
         """
         try:
-            if not self._connection.poll(self._timeout_s):
-                raise ChildProblemError("timeout", f"no answer within {self._timeout_s:g} s")
+            if not self._connection.poll(self.timeout_s):
+                raise ChildProblemError("timeout", f"no answer within {self.timeout_s:g} s")
             message: tuple[Any, ...] = self._connection.recv()
         except (EOFError, OSError):
             code = self._process.wait()

@@ -18,7 +18,7 @@ from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument
 from surgbench.report.records import RECORD_FORMAT, SKIPPED
 from surgbench.silhouette import Reference, SilhouetteEvaluator
-from surgbench.state import STATE_SIZE
+from surgbench.state import POSITION, STATE_SIZE
 from surgbench.suite.child import Child, ChildProblemError
 from surgbench.suite.plan import Job, Plug, Readings, Settings
 from surgbench.suite.worker import Answer, Setup
@@ -43,11 +43,13 @@ class UnitData:
         self._keypoints = [self.sequence.keypoints(arm) for arm in unit.arms]
         self.truth = self._stack([self.sequence.states(arm) for arm in unit.arms])
         self._joints = self._joint_readings(readings)
+        # From the same encoders as the joints' readings, and never better than those.
+        self._kinematics = None if readings == "none" else self._stack([self.sequence.kinematics(a) for a in unit.arms])
         self._limits = self.scene().joint_limits
 
     @staticmethod
     def _stack(per_arm: list[FloatArray | None]) -> FloatArray | None:
-        """``(T, arms, n)`` from one ``(T, n)`` per arm."""
+        """``(T, arms, ...)`` from one ``(T, ...)`` per arm."""
         present = [values for values in per_arm if values is not None]
         return np.stack(present, axis=1) if len(present) == len(per_arm) else None
 
@@ -65,6 +67,7 @@ class UnitData:
 
     def scene(self) -> Scene:
         """What stays the same over the sequence."""
+        bases = [base for arm in self.unit.arms if (base := self.sequence.T_cam_base(arm)) is not None]
         empty = np.zeros((self.camera.height, self.camera.width), dtype=bool)
         return Scene(
             instruments=self.instruments,
@@ -73,6 +76,7 @@ class UnitData:
             dt_s=self.sequence.dt_s,
             arms=len(self.unit.arms),
             speed=self.sequence.speed,
+            T_cam_base=np.stack(bases) if bases else None,
         )
 
     def observation(self, frame: int, mask: Mask) -> Observation:
@@ -85,12 +89,16 @@ class UnitData:
         if self._joints is not None and not np.isnan(self._joints[frame]).any():
             clipped = self._limits.clip(self._joints[frame])
             joints = clipped[0] if len(clipped) == 1 else clipped
+        kinematics = None
+        if self._kinematics is not None and not np.isnan(self._kinematics[frame]).any():
+            kinematics = self._kinematics[frame]
         return Observation(
             index=frame,
             timestamp_s=float(self.sequence.timestamps_s[frame]),
             views=(View(self.camera, np.eye(4), mask, keypoints=keypoints, image=image),),
             start=np.zeros(STATE_SIZE * len(self.unit.arms)),
             joints=joints,
+            kinematics=kinematics,
         )
 
 
@@ -254,7 +262,9 @@ def _errors(
 ) -> dict[str, list[Any] | None]:
     """Errors of all frames; ``None`` where there is no truth to hold them against."""
     errors: dict[str, list[Any] | None] = {name: None for name in metrics.POSE_ERRORS}
-    states = np.array([answer.state for answer in answers]).reshape(len(answers), len(data.unit.arms), STATE_SIZE)
+    shape = (len(answers), len(data.unit.arms), STATE_SIZE)
+    states = np.array([answer.state for answer in answers]).reshape(shape)
+    starts = np.array([answer.start for answer in answers]).reshape(shape)
     if data.truth is not None:
         per_arm = [
             metrics.pose_errors(instrument, data.camera, states[:, arm], data.truth[: len(answers), arm])
@@ -265,8 +275,19 @@ def _errors(
     errors["mask_error"] = [observed for observed, _ in mask_errors]
     errors["mask_error_true"] = None if data.truth is None else [clean for _, clean in mask_errors]
     tips = [instrument.tips_cam(states[:, arm]) for arm, instrument in enumerate(data.instruments)]
+    errors["lag_ms"] = _lags(states, data)
+    errors["start_lag_ms"] = _lags(starts, data)
     errors["jitter"] = _finite(np.array([metrics.jitter(arm, data.sequence.dt_s) for arm in tips]))
     return errors
+
+
+def _lags(states: FloatArray, data: UnitData) -> list[Any] | None:
+    """Of each arm, milliseconds that the wrist of ``(T, arms, 9)`` states trails behind."""
+    if data.truth is None:
+        return None
+    places, true_places = states[..., POSITION], data.truth[: len(states), :, POSITION]
+    lags = [metrics.lag(places[:, arm], true_places[:, arm], data.sequence.dt_s) for arm in range(states.shape[1])]
+    return _finite(1e3 * np.array(lags))
 
 
 def _finite(values: FloatArray) -> list[Any]:

@@ -53,7 +53,7 @@ class Setup:
 
 @dataclass(frozen=True)
 class Answer:
-    """One frame's estimate and what it took."""
+    """One frame's estimate and what it took; ``latency_filter_ms`` is the filter's ``predict`` and ``update``."""
 
     start: FloatArray
     state: FloatArray
@@ -62,6 +62,7 @@ class Answer:
     latency_ms: float
     latency_optimise_ms: float
     latency_keypoints_ms: float
+    latency_filter_ms: float
 
 
 class InvalidAnswerError(Exception):
@@ -159,6 +160,7 @@ class Loop:
         """One frame. ``observation.start`` is filled in here."""
         begin = time.perf_counter()
         start = self._first if observation.index == 0 else self._filter.predict()
+        filter_s = time.perf_counter() - begin
         start = check_state(start, self._size, f"filter '{self._setup.filter.name}'")
         if observation.joints is not None:
             split_arms(start)[:, JOINTS] = observation.joints
@@ -172,7 +174,9 @@ class Loop:
         estimate = answer if isinstance(answer, Estimate) else Estimate(answer)
         state = check_state(estimate.state, self._size, f"tracker '{self._setup.tracker.name}'")
         confidence = check_confidence(estimate.confidence, f"tracker '{self._setup.tracker.name}'")
+        before = time.perf_counter()
         self._filter.update(state.copy())
+        filter_s += time.perf_counter() - before
         return Answer(
             start=start,
             state=state,
@@ -181,6 +185,7 @@ class Loop:
             latency_ms=1e3 * (time.perf_counter() - begin),
             latency_optimise_ms=1e3 * optimise_s,
             latency_keypoints_ms=1e3 * keypoints_s,
+            latency_filter_ms=1e3 * filter_s,
         )
 
     def _with_keypoints(self, observation: Observation) -> tuple[Observation, float]:

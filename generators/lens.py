@@ -1,0 +1,59 @@
+"""Cameras whose lens distorts: what they see of a pinhole camera's mask, and where they see points."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from surgbench.camera import Camera
+from surgbench.dataset.masks import Mask
+from surgbench.geometry import FloatArray
+
+
+class Lens:
+    """Turns masks of a pinhole camera into those of a camera with distortion (OpenCV's model).
+
+    Args:
+        camera: With or without distortion.
+
+    Attributes:
+        pinhole: Without distortion, and wide enough to hold all that the lens shows.
+    """
+
+    def __init__(self, camera: Camera) -> None:
+        self.pinhole = camera.model_copy(update={"distortion": ()})
+        self._columns = self._rows = None
+        if not any(camera.distortion):
+            return
+        rows, columns = np.mgrid[: camera.height, : camera.width]
+        centres = np.stack([columns, rows], axis=-1).reshape(-1, 1, 2).astype(np.float64)
+        matrix, coefficients = camera.matrix, np.array(camera.distortion)
+        straight = np.asarray(cv2.undistortPoints(centres, matrix, coefficients, P=matrix))
+        nearest = np.rint(straight.reshape(camera.height, camera.width, 2)).astype(np.intp)
+        low = np.minimum(nearest.min(axis=(0, 1)), 0)
+        high = np.maximum(nearest.max(axis=(0, 1)), [camera.width - 1, camera.height - 1])
+        width, height = (int(size) for size in high - low + 1)
+        moved = {"cx": camera.cx - int(low[0]), "cy": camera.cy - int(low[1])}
+        self.pinhole = self.pinhole.model_copy(update={"width": width, "height": height, **moved})
+        self._columns, self._rows = np.moveaxis(nearest - low, -1, 0)
+
+    def see(self, mask: Mask) -> Mask:
+        """The mask of the camera: each pixel's centre takes the nearest pixel of the pinhole's mask."""
+        if self._columns is None:
+            return mask
+        seen: Mask = mask[self._rows, self._columns]
+        return seen
+
+
+def project(camera: Camera, points_cam: FloatArray) -> FloatArray:
+    """Where a camera sees points ``(..., 3)``, its distortion included; ``(..., 2)`` pixels."""
+    straight = camera.project(points_cam)
+    if not any(camera.distortion):
+        return straight
+    rays = np.concatenate(
+        [(straight - [camera.cx, camera.cy]) / [camera.fx, camera.fy], np.ones((*straight.shape[:-1], 1))], axis=-1
+    )
+    none = np.zeros(3)
+    bent, _ = cv2.projectPoints(rays.reshape(-1, 1, 3), none, none, camera.matrix, np.array(camera.distortion))
+    pixels: FloatArray = np.asarray(bent, dtype=np.float64).reshape(straight.shape)
+    return pixels

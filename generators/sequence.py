@@ -1,0 +1,82 @@
+"""A sequence's numbers: how the arms truly move, and what is observed of it but the masks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from surgbench.camera import Camera
+from surgbench.dataset import tables
+from surgbench.dataset.format import Arm, SequenceEntry
+from surgbench.generators.observations import observe_arm, observe_free_tool, observe_joints, observe_keypoints
+from surgbench.generators.presets import Preset
+from surgbench.generators.trajectories import make_motion
+from surgbench.geometry import FloatArray, rotation_vector
+from surgbench.instrument import Instrument
+from surgbench.randomness import generator
+
+
+@dataclass(frozen=True)
+class SequenceTables:
+    """Tables of a sequence.
+
+    Attributes:
+        states: ``(frames, 2, 9)``, left arm first.
+        observed: Columns of ``observations.parquet``.
+        truth: Columns of ``states.parquet``.
+        T_cam_base: Nominal place of each arm's base, ``(4, 4)`` row by row.
+    """
+
+    states: FloatArray
+    observed: dict[str, FloatArray]
+    truth: dict[str, FloatArray]
+    T_cam_base: dict[Arm, tuple[float, ...]]
+
+    def first(self, frames: int) -> SequenceTables:
+        """The same of the first frames alone."""
+        observed = {name: values[:frames] for name, values in self.observed.items()}
+        truth = {name: values[:frames] for name, values in self.truth.items()}
+        return SequenceTables(self.states[:frames], observed, truth, self.T_cam_base)
+
+
+def make_tables(preset: Preset, entry: SequenceEntry, instrument: Instrument, camera: Camera) -> SequenceTables:
+    """Move the arms of a sequence and observe them.
+
+    Args:
+        preset: How.
+        entry: Which sequence.
+        instrument: The real one.
+        camera: The real one, distortion included.
+
+    Raises:
+        ConfigError: The workspace is too tight for the motion.
+    """
+    axes: dict[str, str | int] = {"dataset": preset.seed, "sequence": entry.id}
+    seen_by = preset.model_copy(update={"camera": camera})
+    motion = make_motion(seen_by, instrument, entry.speed, entry.frames, generator(**axes, purpose="trajectory"))
+    observed: dict[str, FloatArray] = {tables.TIMESTAMP: np.arange(entry.frames, dtype=np.float64) * entry.dt_s}
+    truth: dict[str, FloatArray] = {}
+    bases: dict[Arm, tuple[float, ...]] = {}
+    for index, arm in enumerate(entry.arms):
+        own, robot = motion.states[:, index], motion.arms[index]
+        points = observe_keypoints(
+            own, instrument, camera, preset.keypoints, generator(**axes, arm=arm, purpose="keypoints")
+        )
+        readings = observe_joints(own, preset.readings, entry.dt_s, generator(**axes, arm=arm, purpose="readings"))
+        rng = generator(**axes, arm=arm, purpose="kinematics")
+        if robot is None:
+            tool = observe_free_tool(own, preset.kinematics, rng)
+        else:
+            tool = observe_arm(robot.arm_joints, robot.arm, robot.T_cam_base, preset.kinematics, entry.dt_s, rng)
+        observed |= _columns(arm, tables.KEYPOINT_COLUMNS, points.reshape(-1, 4))
+        observed |= _columns(arm, tables.READING_COLUMNS, readings + preset.mismatch.joint_offset_rad)
+        poses = [rotation_vector(tool.T_base_tool[:, :3, :3]), tool.T_base_tool[:, :3, 3]]
+        observed |= _columns(arm, tables.KINEMATICS_COLUMNS, np.hstack(poses))
+        bases[arm] = tuple(tool.T_cam_base.ravel().tolist())
+        truth |= _columns(arm, tables.STATE_COLUMNS, own)
+    return SequenceTables(motion.states, observed, truth, bases)
+
+
+def _columns(arm: Arm, names: tuple[str, ...], values: FloatArray) -> dict[str, FloatArray]:
+    return dict(zip(tables.arm_columns(arm, names), values.T, strict=True))

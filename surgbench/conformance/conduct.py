@@ -1,0 +1,73 @@
+"""All checks of one tracker, in a process that is replaced when a check fails in it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+
+from surgbench.conformance.checks import CHECKS, FIRST, Outcome
+from surgbench.conformance.isolation import START_TIMEOUT_S, WORKER
+from surgbench.conformance.session import Subject
+from surgbench.suite.child import Child, ChildProblemError
+
+
+def conduct(
+    subject: Subject,
+    timeout_s: float,
+    report: Callable[[Outcome], None] = lambda _: None,
+    names: Iterable[str] = tuple(CHECKS),
+) -> list[Outcome]:
+    """Check a tracker.
+
+    A tracker that does not get through the first check, a plain sequence, is not put to the others.
+
+    Args:
+        subject: The tracker.
+        timeout_s: The longest wait for a reset or a step.
+        report: Called with each outcome as soon as it is there.
+        names: Which checks; all, unless told.
+
+    Returns:
+        One outcome per check.
+    """
+    outcomes: list[Outcome] = []
+    child: Child | None = None
+    try:
+        for name in names:
+            if any(outcome.check == FIRST and outcome.status == "FAILED" for outcome in outcomes):
+                outcome = Outcome(name, "not run", "for it does not get through a plain sequence")
+            else:
+                child = child or _begin(timeout_s)
+                outcome = _ask(child, name, subject)
+                if outcome.status == "FAILED":
+                    child.stop()
+                    child = None
+            subject = replace(subject, kinematics=subject.kinematics or outcome.needs_kinematics)
+            outcomes.append(outcome)
+            report(outcome)
+    finally:
+        if child is not None:
+            child.stop()
+    return outcomes
+
+
+def _begin(timeout_s: float) -> Child:
+    child = Child(START_TIMEOUT_S, WORKER)
+    try:
+        child.receive()
+    except BaseException:
+        child.stop()
+        raise
+    child.timeout_s = timeout_s
+    return child
+
+
+def _ask(child: Child, name: str, subject: Subject) -> Outcome:
+    child.send("check", name, subject)
+    try:
+        while (message := child.receive())[0] == "alive":
+            pass
+    except ChildProblemError as problem:
+        return Outcome(name, "FAILED", str(problem))
+    outcome: Outcome = message[1]
+    return outcome

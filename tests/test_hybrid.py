@@ -1,0 +1,310 @@
+"""The contour fit, the motion belief, the proposals and the tracker made of them, where the answer is known."""
+
+from __future__ import annotations
+
+import pickle
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from support import observe, resting_state, scene_of
+
+from surgbench.camera import Camera
+from surgbench.contract import Mask, Observation, Scene
+from surgbench.geometry import FloatArray
+from surgbench.metrics import pose_errors
+from surgbench.silhouette import SilhouetteEvaluator
+from surgbench.state import BETA, JOINTS, STATE_SCALE, STATE_SIZE
+from surgbench.trackers.hybrid import HybridTracker
+from surgbench.trackers.registration.belief import MotionBelief
+from surgbench.trackers.registration.edges import explained_contour, explained_edge, find_edges
+from surgbench.trackers.registration.fit import ContourFit, FitConfig, Prior
+from surgbench.trackers.registration.proposals import Move, best_of_each, jump_cost, propose, shift_to_mask
+
+NOTHING_KNOWN = np.full((STATE_SIZE, STATE_SIZE), 0.0) + 1e-9 * np.eye(STATE_SIZE)
+
+
+def errors_of(scene: Scene, estimate: FloatArray, truth: FloatArray) -> dict[str, float]:
+    errors = pose_errors(scene.instruments[0], scene.views[0].camera, estimate[None], truth[None])
+    return {name: float(values[0]) for name, values in errors.items()}
+
+
+def seen(scene: Scene, mask: Mask, index: int = 0) -> Observation:
+    """A frame of which only the mask is known; no search begins at its ``start``, which is anywhere."""
+    return Observation(index, index * scene.dt_s, (replace(scene.views[0], mask=mask),), start=resting_state())
+
+
+# --- edges
+
+
+def test_edges_are_found_where_the_mask_was_moved(camera: Camera) -> None:
+    """A mask moved by whole pixels has its edges just so far along the normals; without any move, at the contour."""
+    scene, state = scene_of(camera), resting_state()
+    evaluator = SilhouetteEvaluator(scene.instruments, camera)
+    mask, contour = evaluator.mask(state), evaluator.contour_points(state, 1)
+    for move in (np.array([0, 0]), np.array([2, 0]), np.array([0, -3]), np.array([-2, 2])):
+        moved = np.roll(mask, (move[1], move[0]), axis=(0, 1))
+        offsets = find_edges(contour, moved, 8)
+        off = offsets - contour.normals @ move
+        # Where the shaft is long and straight; jaws and corners have other edges near by.
+        near = np.abs(off) < 1.0
+        assert near.mean() > 0.9
+        assert abs(off[near].mean()) < 0.05
+
+
+def test_no_edge_is_found_beyond_reach_nor_of_the_wrong_sense(camera: Camera) -> None:
+    scene, state = scene_of(camera), resting_state()
+    evaluator = SilhouetteEvaluator(scene.instruments, camera)
+    contour = evaluator.contour_points(state, 2)
+    assert np.isnan(find_edges(contour, np.ones((camera.height, camera.width), bool), 20)).all()
+    assert np.isnan(find_edges(contour, np.zeros((camera.height, camera.width), bool), 20)).all()
+    # The complement has an edge at every contour point, but the other way round.
+    offsets = find_edges(contour, ~evaluator.mask(state), 2)
+    assert np.isnan(offsets).mean() > 0.9
+
+
+def test_a_missing_jaw_is_an_unexplained_edge_and_an_unexplained_contour(camera: Camera) -> None:
+    scene, state = scene_of(camera), resting_state()
+    evaluator = SilhouetteEvaluator(scene.instruments, camera)
+    closed = state.copy()
+    # The right jaw stays where it is, the left one comes to lie upon it.
+    closed[7], closed[8] = state[7] - state[8], 0.0
+    mask, other = evaluator.mask(state), evaluator.mask(closed)
+    assert explained_edge(mask, mask, 2) == 1.0
+    assert explained_edge(mask, other, 2) < 0.9
+    contour = evaluator.contour_points(state, 1)
+    assert explained_contour(contour, find_edges(contour, mask, 10), 0.0, 2.0) > 0.99
+    assert explained_contour(contour, find_edges(contour, other, 10), 0.0, 2.0) < 0.9
+    assert explained_edge(np.zeros_like(mask), mask, 2) == 1.0
+
+
+# --- fit
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.integers(0, 10_000))
+def test_the_fit_returns_to_the_truth(seed: int) -> None:
+    """From an ordinary frame's motion away, without any prior: thousandths of a radian and a tenth of a millimetre."""
+    camera = Camera(width=700, height=493, fx=905.955, fy=904.820, cx=294.280, cy=238.699)
+    scene, truth = scene_of(camera), resting_state()
+    rng = np.random.default_rng(seed)
+    start = truth + rng.normal(0, 1, STATE_SIZE) * [0.005, 0.02, 0.005, 4e-4, 4e-4, 4e-4, 0.02, 0.02, 0.01]
+    fit = ContourFit(scene, SilhouetteEvaluator(scene.instruments, camera), STATE_SCALE, FitConfig(iterations=10))
+    found = fit(start, observe(scene, truth), Prior(start, NOTHING_KNOWN))
+    errors = errors_of(scene, found.state, truth)
+    assert errors["rotation_error_rad"] < 0.01
+    assert errors["tip_error_m"] < 3e-4
+    assert found.explained > 0.98
+
+
+def test_a_dilated_mask_does_not_read_as_a_nearer_instrument(camera: Camera) -> None:
+    scene, truth = scene_of(camera), resting_state()
+    evaluator = SilhouetteEvaluator(scene.instruments, camera)
+    mask = cv2.dilate(evaluator.mask(truth).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    # A frame's motion is all that it may have moved.
+    prior = Prior(truth, np.diag((STATE_SCALE / [0.01, 0.05, 0.01, 1e-3, 1e-3, 1e-3, 0.03, 0.03, 0.03]) ** 2))
+    found = ContourFit(scene, evaluator, STATE_SCALE, FitConfig(offset_px=2.0))(truth, seen(scene, mask), prior)
+    without = ContourFit(scene, evaluator, STATE_SCALE, FitConfig(offset_px=1e-6))(truth, seen(scene, mask), prior)
+    assert 0.7 < found.offset_px < 1.3
+    assert abs(found.state[5] - truth[5]) < 0.3e-3 < abs(without.state[5] - truth[5])
+
+
+def test_nothing_to_see_leaves_the_prior(camera: Camera) -> None:
+    scene, truth = scene_of(camera), resting_state()
+    evaluator = SilhouetteEvaluator(scene.instruments, camera)
+    fit = ContourFit(scene, evaluator, STATE_SCALE, FitConfig())
+    away = truth.copy()
+    away[:3] += 0.01
+    for fill in (False, True):
+        mask = np.full((camera.height, camera.width), fill)
+        found = fit(away, seen(scene, mask), Prior(truth, np.eye(STATE_SIZE)))
+        np.testing.assert_allclose(found.state, truth, atol=1e-9)
+        assert (found.information == 0).all()
+
+
+# --- belief
+
+
+def linear_update(
+    mean: FloatArray, covariance: FloatArray, H: FloatArray, z: FloatArray, noise: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    gain = covariance @ H.T @ np.linalg.inv(H @ covariance @ H.T + noise)
+    return mean + gain @ (z - H @ mean), covariance - gain @ H @ covariance
+
+
+def test_the_belief_is_a_kalman_filter() -> None:
+    """Handed the mode and the information of a linear measurement, it ends where Kalman's equations do."""
+    rng = np.random.default_rng(0)
+    n = STATE_SIZE
+    belief = MotionBelief(STATE_SCALE, 1 / 30, 10 * STATE_SCALE, STATE_SCALE, 0.02, 0.001)
+    state = resting_state()
+    belief.restart(state, 0.1 * STATE_SCALE)
+    for _ in range(4):
+        belief.predict()
+        belief.read_joints(state[JOINTS] + 0.01, 0.003)
+        mean, covariance = belief._mean.copy(), belief._covariance.copy()
+        root = rng.normal(0, 1, (n, n))
+        information = root @ root.T
+        z = mean[:n] + rng.normal(0, 0.1, n)
+        H = np.eye(n, len(mean))
+        expected, spread = linear_update(
+            mean, covariance, H, z, np.asarray(np.linalg.inv(information), dtype=np.float64)
+        )
+        belief.update(expected[:n] * STATE_SCALE, information)
+        np.testing.assert_allclose(belief._mean, expected, atol=1e-8)
+        np.testing.assert_allclose(belief._covariance, spread, atol=1e-8)
+
+
+def test_the_bias_of_readings_is_learned_and_outlives_a_restart() -> None:
+    belief = MotionBelief(STATE_SCALE, 1 / 30, 10 * STATE_SCALE, STATE_SCALE, 0.02, 1e-4)
+    state, bias = resting_state(), np.array([0.02, -0.03, 0.01])
+    belief.restart(state, 0.1 * STATE_SCALE)
+    for _ in range(50):
+        belief.predict()
+        belief.read_joints(state[JOINTS] + bias, 0.003)
+        belief.update(state, 1e4 * np.eye(STATE_SIZE))
+    belief.restart(state, 10 * STATE_SCALE)
+    belief.read_joints(state[JOINTS] + bias, 0.003)
+    np.testing.assert_allclose(belief.state[JOINTS], state[JOINTS], atol=2e-3)
+
+
+# --- proposals
+
+
+def test_proposals_keep_their_promises(camera: Camera) -> None:
+    scene = scene_of(camera)
+    state = resting_state()
+    limits = scene.joint_limits
+    states, moves = propose(state[None], 400, limits, False, np.random.default_rng(0))
+    again, _ = propose(state[None], 400, limits, False, np.random.default_rng(0))
+    np.testing.assert_array_equal(states, again)
+    assert (limits.clip(states[:, None, JOINTS]) == states[:, None, JOINTS]).all()
+    turned = states[moves == Move.TURN]
+    assert (np.delete(turned, BETA, axis=1) == np.delete(state, BETA)).all()
+    assert np.ptp(turned[:, BETA]) > 2.5
+    jaw = states[moves == Move.JAW]
+    stays = np.minimum(
+        np.abs(jaw[:, 7] + jaw[:, 8] - state[7] - state[8]), np.abs(jaw[:, 7] - jaw[:, 8] - state[7] + state[8])
+    )
+    assert np.median(stays) < 0.15  # the spread of what is near
+    assert np.ptp(jaw[:, 8]) > 0.7
+    known, moves = propose(state[None], 60, limits, True, np.random.default_rng(0))
+    assert (known[moves == Move.TURN][:, JOINTS] == state[JOINTS]).all()
+    assert not np.isin(moves, [Move.JAW, Move.JOINTS, Move.BOTH]).any()
+
+
+def test_with_two_arms_one_is_changed_at_a_time(camera: Camera) -> None:
+    scene = scene_of(camera, arms=2)
+    pair = np.concatenate([resting_state(), resting_state()])
+    states, _ = propose(pair[None], 50, scene.joint_limits, False, np.random.default_rng(0))
+    changed = (states.reshape(-1, 2, STATE_SIZE) != pair.reshape(2, STATE_SIZE)).any(axis=2)
+    assert (changed.sum(axis=1) == 1).all()
+    assert changed.any(axis=0).all()
+
+
+def test_every_kind_of_move_has_its_turn() -> None:
+    moves = np.array([0, 0, 0, 1, 1, 2])
+    losses = np.array([1.0, 2.0, 3.0, 50.0, 40.0, 60.0])
+    assert list(best_of_each(losses, moves, 4)) == [0, 4, 5, 1]
+
+
+def test_a_full_turn_is_no_jump_and_small_steps_cost_little() -> None:
+    state = resting_state()
+    turned = state.copy()
+    turned[BETA] += 2 * np.pi
+    assert jump_cost(turned, state) == pytest.approx(0.0, abs=1e-9)
+    step = state + 0.3 * np.array([0.01, 0.05, 0.01, 1e-3, 1e-3, 1e-3, 0.05, 0.05, 0.05])
+    other = state.copy()
+    other[7], other[8] = 1.2, 0.6
+    assert 0 < jump_cost(step, state) < 1 < jump_cost(other, state)
+
+
+def test_a_lost_instrument_is_moved_to_the_mask(camera: Camera) -> None:
+    scene, state = scene_of(camera), resting_state()
+    evaluator = SilhouetteEvaluator(scene.instruments, camera)
+    elsewhere = state.copy()
+    elsewhere[3] += 0.03
+    moved = shift_to_mask(elsewhere, evaluator.mask(elsewhere), evaluator.mask(state), camera)
+    # Not all the way: the shaft is cut by the image's border, so that its centre is not a point of the instrument.
+    assert np.linalg.norm(moved[3:6] - state[3:6]) < 0.6 * 0.03
+
+
+# --- tracker
+
+
+def motion(frames: int) -> FloatArray:
+    """An instrument that turns, bends and opens, smoothly."""
+    t = np.arange(frames)[:, None] / 30
+    swing = np.array([0.03, 0.4, 0.03, 0.004, 0.004, 0.006, 0.3, 0.3, 0.15])
+    phase = np.arange(STATE_SIZE)
+    return np.asarray(resting_state() + swing * (np.sin(np.pi * t + phase) - np.sin(phase)), dtype=np.float64)
+
+
+def follow(
+    scene: Scene, states: FloatArray, start: FloatArray, masks: list[Mask] | None = None, seed: int = 0
+) -> tuple[FloatArray, HybridTracker]:
+    """Estimates of a fresh tracker; every frame's search begins at its own last estimate."""
+    tracker = HybridTracker()
+    tracker.reset(scene, start, np.random.default_rng(seed))
+    estimates = [start]
+    for index, state in enumerate(states):
+        frame = observe(scene, state, index) if masks is None else seen(scene, masks[index], index)
+        answer = tracker.step(replace(frame, start=estimates[-1].copy()))
+        assert np.isfinite(answer.state).all()
+        estimates.append(answer.state)
+    return np.array(estimates[1:]), tracker
+
+
+def test_it_follows_to_tenths_of_a_millimetre(camera: Camera) -> None:
+    scene, states = scene_of(camera), motion(25)
+    estimates, _ = follow(scene, states, states[0])
+    errors = [errors_of(scene, *pair) for pair in zip(estimates, states, strict=True)]
+    assert np.mean([e["rotation_error_rad"] for e in errors]) < 0.005
+    assert np.mean([e["tip_error_m"] for e in errors]) < 2e-4
+
+
+def test_it_finds_back_from_a_jaw_that_slipped(camera: Camera) -> None:
+    """It begins with both jaws where only one is, which no small step mends."""
+    scene, states = scene_of(camera), motion(15)
+    slipped = states[0].copy()
+    slipped[7], slipped[8] = slipped[7] - slipped[8], 0.0
+    estimates, _ = follow(scene, states, slipped)
+    assert errors_of(scene, estimates[-1], states[-1])["q3_error_rad"] < 0.02
+
+
+def test_it_waits_while_nothing_is_seen(camera: Camera) -> None:
+    scene, states = scene_of(camera), motion(16)
+    evaluator = SilhouetteEvaluator(scene.instruments, camera)
+    masks = [evaluator.mask(state) for state in states]
+    masks[6:9] = [np.zeros_like(masks[0]), np.ones_like(masks[0]), np.zeros_like(masks[0])]
+    estimates, _ = follow(scene, states, states[0], masks)
+    assert errors_of(scene, estimates[-1], states[-1])["tip_error_m"] < 1e-3
+
+
+def test_two_arms_in_one_mask(camera: Camera) -> None:
+    scene = scene_of(camera, arms=2)
+    left = motion(8)
+    right = left.copy()
+    right[:, 2], right[:, 3], right[:, 1] = -right[:, 2], right[:, 3] + 0.035, right[:, 1] + 1.0
+    states = np.concatenate([left, right], axis=1)
+    estimates, _ = follow(scene, states, states[0])
+    one = scene_of(camera)
+    for arm in (slice(0, 9), slice(9, 18)):
+        assert errors_of(one, estimates[-1, arm], states[-1, arm])["tip_error_m"] < 1e-3
+
+
+def test_same_seed_same_estimates_also_after_a_journey(camera: Camera) -> None:
+    """A tracker that is pickled in the middle goes on as the one that stayed."""
+    scene, states = scene_of(camera), motion(6)
+    slipped = states[0].copy()
+    slipped[7], slipped[8] = slipped[7] - slipped[8], 0.0  # so that it searches, which is where chance comes in
+    one, stayed = follow(scene, states[:3], slipped)
+    two, _ = follow(scene, states[:3], slipped)
+    np.testing.assert_array_equal(one, two)
+    travelled: HybridTracker = pickle.loads(pickle.dumps(stayed))
+    for index in range(3, 6):
+        frame = replace(observe(scene, states[index], index), start=one[-1])
+        np.testing.assert_array_equal(stayed.step(frame).state, travelled.step(frame).state)

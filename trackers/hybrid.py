@@ -1,0 +1,236 @@
+"""Our tracker: robust Gauss-Newton on the contour with a motion belief, and a search for what it may have missed.
+
+Three things make it accurate. The contour's residuals and Jacobians are exact (no pixels are rendered), so that a few
+Gauss-Newton steps reach the optimum to a small part of a pixel. A belief of constant velocity with all its
+correlations takes part in the estimate. And where the silhouette leaves edges unexplained (a jaw that has slipped
+behind the other, a fast turn about the shaft), other states are drawn around the estimate, scored by eq. 5, evolved for
+a few generations of CMA-ES, refined, and followed beside it as hypotheses of their own until the masks decide.
+"""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass, replace
+from typing import Annotated, ClassVar
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from surgbench.contract import Estimate, InstrumentTracker, Observation, Scene, Trace
+from surgbench.geometry import FloatArray
+from surgbench.objective import LossWeights, Objective
+from surgbench.silhouette import SilhouetteEvaluator
+from surgbench.state import STATE_SCALE, StateSpace, clip_joints
+from surgbench.trackers.optimisers.cma import CMA
+from surgbench.trackers.registration.belief import MotionBelief
+from surgbench.trackers.registration.edges import explained_edge
+from surgbench.trackers.registration.fit import ContourFit, Fit, FitConfig, Prior
+from surgbench.trackers.registration.proposals import best_of_each, jump_cost, propose, shift_to_mask
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+
+# Per second (squared): how fast hands move such an instrument.
+ACCELERATION = np.array([4.0, 12.0, 4.0, 0.4, 0.4, 0.4, 8.0, 8.0, 6.0])
+VELOCITY = np.array([0.3, 1.0, 0.3, 0.02, 0.02, 0.02, 0.5, 0.5, 0.3])
+# How well the first state, or a hypothesis just found, is known; and how well a drawn one is.
+FOUND = np.array([0.01, 0.05, 0.03, 5e-4, 5e-4, 1e-3, 0.05, 0.05, 0.05])
+DRAWN = np.array([0.1, 1.0, 0.2, 5e-3, 5e-3, 2e-2, 1.0, 1.0, 1.0])
+FAR_IOU = 0.5  # with less overlap the instrument may be somewhere else altogether
+EXPLAINED_PX = 2
+BEST_UNEXPLAINED = 0.02  # what masks leave unexplained of a right state
+SAME = 1.0  # jump cost within which two hypotheses are one
+
+
+@dataclass
+class Hypothesis:
+    """One story of how the instrument has moved.
+
+    Attributes:
+        belief: What it says of the frame to come.
+        state: Its last estimate.
+        cost: How badly it explained the last frames, the latest most.
+        iou: Overlap of its silhouette with the mask.
+        explained: Share of its contour that has an edge in the mask.
+        explained_mask: Share of the mask's edge that has a contour.
+    """
+
+    belief: MotionBelief
+    state: FloatArray
+    cost: float
+    iou: float = 0.0
+    explained: float = 1.0
+    explained_mask: float = 1.0
+
+
+class HybridTracker(InstrumentTracker):
+    """Follows the contour, and looks elsewhere when it does not fit."""
+
+    name: ClassVar[str] = "hybrid"
+    summary: ClassVar[str] = "ours: Gauss-Newton on the contour, evolution where it leaves edges unexplained"
+
+    class Config(BaseModel):
+        """Options."""
+
+        model_config = ConfigDict(frozen=True, extra="forbid")
+
+        fit: FitConfig = FitConfig()
+        acceleration: Annotated[Positive, Field(description="factor on the belief's accelerations")] = 1.0
+        fast_acceleration: Annotated[Positive, Field(description="further factor for fast sequences")] = 2.5
+        reading_bias_rad: Annotated[NotNegative, Field(description="what readings are wrong by for long")] = 0.02
+        reading_drift_rad: Annotated[NotNegative, Field(description="how that changes from frame to frame")] = 0.001
+        reading_noise_rad: Annotated[Positive, Field(description="what they are wrong by in one frame")] = 0.003
+        explained: Annotated[float, Field(ge=0, le=1, description="share of edges below which it searches")] = 0.9
+        samples: Annotated[int, Field(ge=0, description="states drawn in a search; 0: never search")] = 96
+        generations: Annotated[int, Field(ge=0, description="of CMA-ES in a search")] = 3
+        population: Annotated[int, Field(ge=4, description="samples of such a generation")] = 70
+        refined: Annotated[int, Field(ge=1, description="best samples of a search that are refined")] = 8
+        hypotheses: Annotated[int, Field(ge=1, description="followed at a time")] = 3
+        pause: Annotated[int, Field(ge=0, description="frames without a search after one that found nothing")] = 2
+        trust: Annotated[Positive, Field(description="weight of a frame among hypotheses")] = 20.0
+        memory: Annotated[float, Field(ge=0, lt=1, description="of hypotheses' costs from frame to frame")] = 0.8
+        given_up: Annotated[Positive, Field(description="cost above the best at which one is dropped")] = 10.0
+        lost_iou: Annotated[float, Field(ge=0, le=1, description="an estimate that overlaps less is lost")] = 0.5
+        loss: LossWeights = LossWeights()
+
+    def __init__(self, config: Config | None = None) -> None:
+        self.config = config or self.Config()
+        self.trace: Trace | None = None
+
+    def reset(self, scene: Scene, state: FloatArray, rng: np.random.Generator) -> None:
+        """Prepare the scorer, the fit and the belief."""
+        config = self.config
+        self._scene = scene
+        self._rng = rng
+        self._scale: FloatArray = np.tile(STATE_SCALE, scene.arms)
+        self._objective = Objective(scene, config.loss)
+        self._evaluator = SilhouetteEvaluator(scene.instruments, scene.views[0].camera)
+        self._fit = ContourFit(scene, self._evaluator, self._scale, config.fit)
+        self._space = StateSpace(scene.joint_limits, STATE_SCALE, scene.arms)
+        self._drawn = np.diag((self._scale / np.tile(DRAWN, scene.arms)) ** 2)
+        self._pause = 0
+        self._begun = False
+        self._found: FloatArray = np.tile(FOUND, scene.arms)
+        faster = config.acceleration * (config.fast_acceleration if scene.speed == "fast" else 1.0)
+        belief = MotionBelief(
+            self._scale,
+            scene.dt_s,
+            np.tile(ACCELERATION * faster, scene.arms),
+            np.tile(VELOCITY, scene.arms),
+            config.reading_bias_rad,
+            config.reading_drift_rad,
+        )
+        belief.restart(state, self._found)
+        self._hypotheses = [Hypothesis(belief, np.array(state), 0.0)]
+
+    def step(self, observation: Observation) -> Estimate:
+        """Follow every hypothesis; search where the best leaves edges unexplained; report the best."""
+        config = self.config
+        self._objective.observe(observation)
+        seen = bool(observation.mask.any())
+        last = self._hypotheses[0].state
+        for k, hypothesis in enumerate(self._hypotheses):
+            self._follow(hypothesis, observation, observation.start if k == 0 else None, seen)
+        self._begun = True
+        best = min(self._hypotheses, key=lambda h: h.cost)
+        if seen and config.samples and min(best.explained, best.explained_mask) < config.explained:
+            if self._pause > 0:
+                self._pause -= 1
+            elif not self._search(best, last, observation):
+                self._pause = config.pause
+        else:
+            self._pause = 0
+        self._sort()
+        best = self._hypotheses[0]
+        return Estimate(best.state, confidence=float(best.iou), lost=bool(best.iou < config.lost_iou))
+
+    def _follow(self, hypothesis: Hypothesis, observation: Observation, start: FloatArray | None, seen: bool) -> None:
+        belief, config = hypothesis.belief, self.config
+        if self._begun:
+            belief.predict()
+        if observation.joints is not None:
+            belief.read_joints(observation.joints.ravel(), config.reading_noise_rad)
+        starts = [clip_joints(belief.state, self._scene.joint_limits)]
+        if start is not None:
+            starts.append(belief.near(start))
+        candidates = np.stack(starts)
+        begin = candidates[int(np.argmin(self._objective(candidates)[0]))]
+        prior = Prior(belief.state, np.linalg.inv(belief.covariance))
+        fit = self._fit(begin, observation, prior)
+        belief.update(fit.state, fit.information)
+        if not seen:
+            belief.stand_still()
+        self._take(hypothesis, fit, observation)
+        hypothesis.cost = config.memory * hypothesis.cost + self._frame_cost(hypothesis)
+
+    def _take(self, hypothesis: Hypothesis, fit: Fit, observation: Observation) -> None:
+        silhouette = self._evaluator.mask(fit.state)
+        hypothesis.state, hypothesis.explained = fit.state, fit.explained
+        hypothesis.explained_mask = explained_edge(observation.mask, silhouette, EXPLAINED_PX)
+        hypothesis.iou = float(self._objective.mismatch(fit.state[None])[1][0])
+
+    def _frame_cost(self, hypothesis: Hypothesis) -> float:
+        # A mask that is a pixel too large costs every hypothesis the same area, but leaves no edge unexplained.
+        unexplained = 1.0 - (hypothesis.explained + hypothesis.explained_mask) / 2.0
+        return self.config.trust * float(np.log(unexplained + BEST_UNEXPLAINED))
+
+    def _search(self, best: Hypothesis, last: FloatArray, observation: Observation) -> bool:
+        """Draw, score and refine other states; the best of them becomes a hypothesis. Returns whether one did."""
+        config, scene = self.config, self._scene
+        centres = [best.state, last]
+        if best.iou < FAR_IOU and scene.arms == 1:
+            silhouette = self._evaluator.mask(best.state)
+            camera = scene.views[0].camera
+            centres = [shift_to_mask(best.state, silhouette, observation.mask, camera), best.state]
+        known = observation.joints is not None
+        states, moves = propose(np.stack(centres), config.samples, scene.joint_limits, known, self._rng)
+        losses = self._objective(states)[0]
+        order = best_of_each(losses, moves, config.refined)
+        if config.generations:
+            evolved, evolved_losses = self._evolve(states[int(np.argmin(losses))])
+            states, losses = np.concatenate([states, evolved]), np.concatenate([losses, evolved_losses])
+            order = np.append(order, len(moves) + np.argmin(evolved_losses))
+        if self.trace is not None:
+            ranked = np.argsort(losses, kind="stable")
+            self.trace.states.append(states[ranked])
+            self.trace.losses.append(losses[ranked])
+        found: Hypothesis | None = None
+        for k in order:
+            fit = self._fit(states[k], observation, Prior(states[k], self._drawn), iterations=8, spacing_px=3)
+            candidate = Hypothesis(best.belief, fit.state, 0.0)
+            self._take(candidate, fit, observation)
+            candidate.cost = self._frame_cost(candidate) + jump_cost(fit.state, last)
+            if found is None or candidate.cost < found.cost:
+                found = candidate
+        assert found is not None
+        before = best.cost - self._frame_cost(best)
+        found.cost += before
+        if found.cost > best.cost + config.given_up or any(
+            jump_cost(found.state, other.state) < SAME for other in self._hypotheses
+        ):
+            return False
+        belief = copy.deepcopy(best.belief)
+        belief.restart(found.state, self._found)
+        self._hypotheses.append(replace(found, belief=belief))
+        return True
+
+    def _evolve(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Samples of a few generations of CMA-ES from a state on, and their losses."""
+        config = self.config
+        search = CMA(self._space.encode(state), 1.0, config.population, mean_rate=2.0, covariance_rate=4.0, elites=15)
+        states, losses = [], []
+        for _ in range(config.generations):
+            samples = search.ask(self._rng.standard_normal((config.population, len(state))))
+            states.append(self._space.decode(samples))
+            losses.append(self._objective(states[-1])[0])
+            search.tell(samples, losses[-1])
+        return np.concatenate(states), np.concatenate(losses)
+
+    def _sort(self) -> None:
+        """Best first; without those that have become another's double, or have been outdone."""
+        kept: list[Hypothesis] = []
+        for one in sorted(self._hypotheses, key=lambda h: h.cost):
+            outdone = kept and one.cost > kept[0].cost + self.config.given_up
+            if not outdone and all(jump_cost(one.state, other.state) >= SAME for other in kept):
+                kept.append(one)
+        self._hypotheses = kept[: self.config.hypotheses]

@@ -1,0 +1,124 @@
+"""What is believed of the state before a frame is seen: constant velocity, Gaussian, all components together.
+
+Unlike the engine's filters, whose output only starts the next search, this belief takes part in the estimate: where
+a silhouette says little about a direction of the state, the motion so far decides. Joint readings enter it with a
+bias of their own, which changes slowly and is learned from the masks.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from surgbench.geometry import FloatArray, wrap_angle
+from surgbench.state import JOINTS, POSITION, STATE_SIZE
+
+
+class MotionBelief:
+    """Gaussian over values, velocities and the readings' biases, in the state's natural steps.
+
+    Args:
+        scale: ``(n,)`` natural step of each component; n is 9 per arm.
+        dt_s: Seconds between frames.
+        acceleration: ``(n,)`` standard deviation of the acceleration, constant over a frame, per s².
+        velocity: ``(n,)`` standard deviation of the velocities at the beginning, per s.
+        bias_rad: Standard deviation of the readings' biases.
+        bias_drift_rad: How much they change from frame to frame.
+    """
+
+    def __init__(
+        self,
+        scale: FloatArray,
+        dt_s: float,
+        acceleration: FloatArray,
+        velocity: FloatArray,
+        bias_rad: float,
+        bias_drift_rad: float,
+    ) -> None:
+        n = len(scale)
+        self._scale = scale
+        self._velocity_variance = (velocity / scale) ** 2
+        joints = np.arange(n).reshape(-1, STATE_SIZE)[:, JOINTS].ravel()
+        self._joints = joints
+        self._biases = 2 * n + np.arange(len(joints))
+        size = 2 * n + len(joints)
+        self._transition = np.eye(size)
+        self._transition[:n, n : 2 * n] = dt_s * np.eye(n)
+        # An acceleration a that is constant over a frame moves the value by a dt²/2 and the velocity by a dt.
+        push = np.array([[dt_s**4 / 4, dt_s**3 / 2], [dt_s**3 / 2, dt_s**2]])
+        self._process = np.zeros((size, size))
+        self._process[: 2 * n, : 2 * n] = np.kron(push, np.diag((acceleration / scale) ** 2))
+        self._process[self._biases, self._biases] = (bias_drift_rad / scale[joints]) ** 2
+        is_angle = np.ones(STATE_SIZE, dtype=bool)
+        is_angle[POSITION] = False
+        self._is_angle = np.resize(is_angle, n)
+        self._mean: FloatArray = np.zeros(size)
+        self._covariance: FloatArray = np.eye(size)
+        self._covariance[self._biases, self._biases] = (bias_rad / scale[joints]) ** 2
+
+    def restart(self, state: FloatArray, spread: FloatArray) -> None:
+        """Begin again at rest at ``state``, known to ``spread`` (both ``(n,)``); the readings' biases stay."""
+        n = len(self._scale)
+        self._mean[: 2 * n] = np.concatenate([state / self._scale, np.zeros(n)])
+        self._covariance[: 2 * n, :] = self._covariance[:, : 2 * n] = 0.0
+        variance = np.concatenate([(spread / self._scale) ** 2, self._velocity_variance])
+        self._covariance[: 2 * n, : 2 * n] = np.diag(variance)
+
+    @property
+    def state(self) -> FloatArray:
+        """``(n,)`` mean of the values, as a state."""
+        return self._mean[: len(self._scale)] * self._scale
+
+    @property
+    def covariance(self) -> FloatArray:
+        """``(n, n)`` of the values, natural steps."""
+        n = len(self._scale)
+        return self._covariance[:n, :n]
+
+    def predict(self) -> None:
+        """Advance by one frame."""
+        self._mean = self._transition @ self._mean
+        self._covariance = self._transition @ self._covariance @ self._transition.T + self._process
+
+    def stand_still(self) -> None:
+        """Nothing was seen: no velocity is to carry the state away."""
+        n = len(self._scale)
+        self._mean[n : 2 * n] = 0.0
+
+    def near(self, state: FloatArray) -> FloatArray:
+        """The same state with each angle turned by full turns to lie nearest to the mean."""
+        turned = np.array(state, dtype=np.float64)
+        mean, angles = self.state, self._is_angle
+        turned[angles] = mean[angles] + wrap_angle(turned[angles] - mean[angles])
+        return turned
+
+    def read_joints(self, readings_rad: FloatArray, noise_rad: float) -> None:
+        """Take in joint readings, ``(3 * arms,)``, which are joint plus bias plus white noise."""
+        scale = self._scale[self._joints]
+        observe = np.zeros((len(self._joints), len(self._mean)))
+        rows = np.arange(len(self._joints))
+        observe[rows, self._joints] = observe[rows, self._biases] = 1.0
+        across = self._covariance @ observe.T
+        spread = observe @ across + np.diag((noise_rad / scale) ** 2)
+        gain = np.linalg.solve(spread, across.T).T
+        self._mean = self._mean + gain @ (readings_rad / scale - observe @ self._mean)
+        self._settle(self._covariance - gain @ across.T)
+
+    def update(self, state: FloatArray, information: FloatArray) -> None:
+        """Take in an estimate that already is a compromise between this belief and a frame.
+
+        Args:
+            state: ``(n,)`` the compromise, the mode of the posterior; it becomes the mean of the values.
+            information: ``(n, n)`` what the frame alone says, natural steps: the inverse of its covariance.
+        """
+        n = len(self._scale)
+        column = self._covariance[:, :n].copy()
+        own = column[:n]
+        # Kalman's gain for H = [1 0] in information form: (H P H' + R)⁻¹ = I (1 + P I)⁻¹ with I = R⁻¹.
+        inner = information @ np.linalg.inv(np.eye(n) + own @ information)
+        # What is correlated with the values follows them.
+        shift = self.near(state) / self._scale - self._mean[:n]
+        self._mean = self._mean + column @ np.linalg.solve(own, shift)
+        self._settle(self._covariance - column @ inner @ column.T)
+
+    def _settle(self, covariance: FloatArray) -> None:
+        self._covariance = (covariance + covariance.T) / 2

@@ -1,0 +1,118 @@
+"""Other states that might explain a frame: where a tracker that slipped could have slipped from."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from surgbench.camera import Camera
+from surgbench.contract import Mask
+from surgbench.geometry import FloatArray, wrap_angle
+from surgbench.state import BETA, JOINTS, POSITION, STATE_SIZE, JointLimits, split_arms
+
+# Spread of what is not drawn anew.
+NEAR = np.array([0.01, 0.15, 0.01, 2e-4, 2e-4, 1e-3, 0.1, 0.1, 0.1])
+WIDEST_ROLL_RAD = 1.6  # beyond a quarter turn the twin is nearer
+WIDEST_JAW_RAD = 1.0
+# What a jump of each component counts as: beyond it, ever less for each further step.
+JUMP = np.array([0.03, 0.1, 0.03, 2e-3, 2e-3, 4e-3, 0.1, 0.1, 0.1])
+
+
+class Move(IntEnum):
+    """How a proposal differs from the state it is drawn around."""
+
+    TURN = 0  # about the shaft, by up to a quarter turn either way
+    JAW = 1  # one jaw stays where it is, the other is somewhere else
+    JOINTS = 2  # all joints anew
+    BOTH = 3  # turned, and all joints anew
+    NEAR = 4  # a little in everything
+
+
+MOVES = (Move.TURN, Move.JAW, Move.TURN, Move.JOINTS, Move.JAW, Move.BOTH, Move.TURN, Move.JAW, Move.JOINTS, Move.NEAR)
+MOVES_WITH_READINGS = (Move.TURN, Move.TURN, Move.NEAR)
+
+
+def propose(
+    states: FloatArray, count: int, limits: JointLimits, known_joints: bool, rng: np.random.Generator
+) -> tuple[FloatArray, NDArray[np.intp]]:
+    """Draw states around some that are thought of.
+
+    Args:
+        states: ``(m, 9 * arms)`` the present estimate, the last one, and the like.
+        count: How many to draw.
+        limits: Of the joints, per arm.
+        known_joints: Joints are known from readings: they are not drawn anew.
+        rng: The only source of randomness.
+
+    Returns:
+        ``(count, 9 * arms)`` states, with two arms one of them changed in each; and ``(count,)`` their :class:`Move`.
+    """
+    moves = np.resize(np.array(MOVES_WITH_READINGS if known_joints else MOVES, dtype=np.intp), count)
+    drawn: FloatArray = np.tile(states, (-(-count // len(states)), 1))[rng.permutation(count)]
+    arms = split_arms(drawn)
+    arm = rng.integers(arms.shape[1], size=count)
+    one = arms[np.arange(count), arm]
+    lower, upper = limits.lower_rad[arm], limits.upper_rad[arm]
+    widest = np.minimum(upper, [np.inf, np.inf, WIDEST_JAW_RAD])
+    near = (moves == Move.NEAR) | (moves == Move.JAW)
+    one[near] += rng.normal(0.0, 1.0, (int(near.sum()), STATE_SIZE)) * NEAR
+    rolled = WIDEST_ROLL_RAD * rng.uniform(-1.0, 1.0, count)
+    one[:, BETA] += np.where((moves == Move.TURN) | (moves == Move.BOTH), rolled, 0.0)
+    anew = (moves == Move.JOINTS) | (moves == Move.BOTH)
+    one[anew, JOINTS] = rng.uniform(lower, widest)[anew]
+    jaw = moves == Move.JAW
+    yaw, half = one[:, JOINTS.start + 1], one[:, JOINTS.start + 2]
+    side = np.where(rng.random(count) < 0.5, 1.0, -1.0)
+    opening = rng.uniform(0.0, 2.0 * widest[:, 2])
+    # The jaws stand at yaw - half and yaw + half; one of them stays.
+    one[jaw, JOINTS.start + 1] = (yaw + side * (half - opening / 2.0))[jaw]
+    one[jaw, JOINTS.start + 2] = opening[jaw] / 2.0
+    one[:, JOINTS] = np.clip(one[:, JOINTS], lower, upper)
+    arms[np.arange(count), arm] = one
+    return drawn, moves
+
+
+def best_of_each(losses: FloatArray, moves: NDArray[np.intp], count: int) -> NDArray[np.intp]:
+    """Indices of ``count`` proposals with small losses, every kind of move in its turn."""
+    order = np.argsort(losses, kind="stable")
+    rank = np.empty(len(order), dtype=np.intp)
+    for move in Move:
+        own = order[moves[order] == move]
+        rank[own] = np.arange(len(own))
+    return np.lexsort((losses, rank))[:count]
+
+
+def jump_cost(state: FloatArray, last: FloatArray) -> float:
+    """How unlikely a jump from the last state is: minus the logarithm of a heavy-tailed density, 0 for none.
+
+    Args:
+        state: ``(9 * arms,)``.
+        last: Same shape.
+    """
+    change = (state - last).reshape(-1, STATE_SIZE)
+    change[:, : POSITION.start] = wrap_angle(change[:, : POSITION.start])
+    return float(np.log1p((change / JUMP) ** 2).sum())
+
+
+def shift_to_mask(state: FloatArray, silhouette: Mask, mask: Mask, camera: Camera) -> FloatArray:
+    """The state of one arm moved across the image so that its silhouette's centre is where the mask's is.
+
+    Args:
+        state: ``(9,)``.
+        silhouette: ``(H, W)`` its silhouette; where it is empty the wrist itself is moved there.
+        mask: ``(H, W)`` observed, not empty.
+        camera: Of both.
+    """
+    moved = np.array(state)
+    target = _centre(mask)
+    here = _centre(silhouette) if silhouette.any() else camera.project(state[POSITION])
+    moved[POSITION][:2] += (target - here) / [camera.fx, camera.fy] * state[POSITION][2]
+    return moved
+
+
+def _centre(mask: Mask) -> FloatArray:
+    moments = cv2.moments(mask.view(np.uint8), binaryImage=True)
+    return np.array([moments["m10"], moments["m01"]]) / moments["m00"]
