@@ -175,8 +175,6 @@ def plan_dataset(preset: Preset, part: Part | None = None) -> Plan:
         "preset": {**preset.model_dump(mode="json"), "instrument": instrument.name},
         "instrument_sha256": _hashes(files),
     }
-    if part is not None:
-        marker["part"] = {"sequences": [entry.id for entry in sequences], "frames": part.frames}
     real, camera = real_instrument(instrument, preset.mismatch), real_camera(preset.camera, preset.mismatch)
     if preset.mismatch != NO_MISMATCH:
         rendered = _instrument_files(real)
@@ -185,19 +183,9 @@ def plan_dataset(preset: Preset, part: Part | None = None) -> Plan:
             "instrument": yaml.safe_load(rendered[f"{instrument_folder(real.name)}/{INSTRUMENT_FILE}"]),
             "instrument_sha256": _hashes(rendered),
         }
+    if part is not None:
+        marker["part"] = {"sequences": [entry.id for entry in sequences], "frames": part.frames}
     return Plan(preset, instrument, real, camera, sequences, marker, files)
-
-
-def _of_part(sequences: tuple[SequenceEntry, ...], part: Part) -> tuple[SequenceEntry, ...]:
-    ids = [entry.id for entry in sequences]
-    for wanted in part.sequences:
-        if wanted not in ids:
-            raise ConfigError(unknown_name("sequence", wanted, ids))
-    return tuple(
-        entry.model_copy(update={"frames": min(part.frames, entry.frames)})
-        for entry in sequences
-        if entry.id in part.sequences
-    )
 
 
 def _instrument_files(instrument: Instrument) -> dict[str, bytes]:
@@ -210,6 +198,18 @@ def _instrument_files(instrument: Instrument) -> dict[str, bytes]:
 
 def _hashes(files: dict[str, bytes]) -> dict[str, str]:
     return {path: hashlib.sha256(data).hexdigest() for path, data in files.items()}
+
+
+def _of_part(sequences: tuple[SequenceEntry, ...], part: Part) -> tuple[SequenceEntry, ...]:
+    ids = [entry.id for entry in sequences]
+    for wanted in part.sequences:
+        if wanted not in ids:
+            raise ConfigError(unknown_name("sequence", wanted, ids))
+    return tuple(
+        entry.model_copy(update={"frames": min(part.frames, entry.frames)})
+        for entry in sequences
+        if entry.id in part.sequences
+    )
 
 
 def generate(

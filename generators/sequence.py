@@ -53,9 +53,11 @@ def make_tables(preset: Preset, entry: SequenceEntry, instrument: Instrument, ca
         ConfigError: The workspace is too tight for the motion.
     """
     axes: dict[str, str | int] = {"dataset": preset.seed, "sequence": entry.id}
+    # All of the sequence, also where only its first frames are wanted: what moves or errs slowly depends on its length.
+    frames = preset.frames
     seen_by = preset.model_copy(update={"camera": camera})
-    motion = make_motion(seen_by, instrument, entry.speed, entry.frames, generator(**axes, purpose="trajectory"))
-    observed: dict[str, FloatArray] = {tables.TIMESTAMP: np.arange(entry.frames, dtype=np.float64) * entry.dt_s}
+    motion = make_motion(seen_by, instrument, entry.speed, frames, generator(**axes, purpose="trajectory"))
+    observed: dict[str, FloatArray] = {tables.TIMESTAMP: np.arange(frames, dtype=np.float64) * entry.dt_s}
     truth: dict[str, FloatArray] = {}
     bases: dict[Arm, tuple[float, ...]] = {}
     for index, arm in enumerate(entry.arms):
@@ -75,7 +77,12 @@ def make_tables(preset: Preset, entry: SequenceEntry, instrument: Instrument, ca
         observed |= _columns(arm, tables.KINEMATICS_COLUMNS, np.hstack(poses))
         bases[arm] = tuple(tool.T_cam_base.ravel().tolist())
         truth |= _columns(arm, tables.STATE_COLUMNS, own)
-    return SequenceTables(motion.states, observed, truth, bases)
+    first = slice(entry.frames)
+    return SequenceTables(motion.states[first], _rows(observed, first), _rows(truth, first), bases)
+
+
+def _rows(columns: dict[str, FloatArray], rows: slice) -> dict[str, FloatArray]:
+    return {name: values[rows] for name, values in columns.items()}
 
 
 def _columns(arm: Arm, names: tuple[str, ...], values: FloatArray) -> dict[str, FloatArray]:

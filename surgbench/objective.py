@@ -132,10 +132,9 @@ class Objective:
         Raises:
             RuntimeError: No frame has been observed.
         """
-        if self._reference is None:
-            raise RuntimeError("observe a frame before scoring candidates")
-        area, overlap = self.evaluator.sum_over(states, self._reference)
-        observed = self._reference.area
+        reference = self._seen()
+        area, overlap = self.evaluator.sum_over(states, reference)
+        observed = reference.area
         loss = area + observed - 2 * overlap + self._appearance * np.abs(area - observed)
         return np.asarray(loss, dtype=np.float64), iou(area, overlap, observed)
 
@@ -173,12 +172,7 @@ class Objective:
         Raises:
             RuntimeError: No frame has been observed.
         """
-        if self._reference is None:
-            raise RuntimeError("observe a frame before scoring candidates")
-        area, _ = self.evaluator.sum_over(states, self._reference)
-        slope = self._differentiable.gradient(states, self._reference)
-        excess = np.sign(area - self._reference.area)[:, None]
-        gradient = slope.area - 2 * slope.overlap + self._appearance * excess * slope.area
+        gradient = self.mismatch_gradient(states)
         if self._keypoints > 0 and any(observed is not None for observed in self._observed):
             tips = self._projector.project(states)
             forces = np.zeros_like(tips)
@@ -187,6 +181,24 @@ class Objective:
                     forces[:, arm] = keypoint_slope(observed, tips[:, arm], self._tolerance_px)
             gradient = gradient + self._keypoints * self._projector.pull_back(states, forces)
         return gradient
+
+    def mismatch_gradient(self, states: FloatArray) -> FloatArray:
+        """Derivative of the rendering loss (eq. 6), ``(n, 9 * arms)`` pixels per radian or metre.
+
+        Raises:
+            RuntimeError: No frame has been observed.
+        """
+        reference = self._seen()
+        area, _ = self.evaluator.sum_over(states, reference)
+        slope = self._differentiable.gradient(states, reference)
+        excess = np.sign(area - reference.area)[:, None]
+        gradient: FloatArray = slope.area - 2 * slope.overlap + self._appearance * excess * slope.area
+        return gradient
+
+    def _seen(self) -> Reference:
+        if self._reference is None:
+            raise RuntimeError("observe a frame before scoring candidates")
+        return self._reference
 
     @cached_property
     def _differentiable(self) -> SilhouetteEvaluator:

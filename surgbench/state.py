@@ -107,3 +107,21 @@ class StateSpace:
         phase = np.pi * (joints - self.limits.lower_rad) / span
         joints[...] = self.limits.lower_rad + span / 2.0 * (1.0 - np.cos(phase))
         return state
+
+    def pull_back(self, vector: FloatArray, gradient: FloatArray) -> FloatArray:
+        """Derivative with respect to search vectors of a function of the states (the chain rule).
+
+        Args:
+            vector: ``(..., 9 * arms)``.
+            gradient: ``(..., 9 * arms)`` derivative with respect to the states :meth:`decode` makes of them.
+
+        Returns:
+            ``(..., 9 * arms)``; zero for joints on their limits.
+        """
+        place = np.ascontiguousarray(vector, dtype=np.float64) * self.scale
+        slope = np.ones_like(place)
+        span = self.limits.upper_rad - self.limits.lower_rad
+        phase = np.pi * (split_arms(place)[..., JOINTS] - self.limits.lower_rad) / span
+        split_arms(slope)[..., JOINTS] = np.pi / 2.0 * np.sin(phase)
+        pulled: FloatArray = gradient * slope * self.scale
+        return pulled

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from support import resting_state
 from typer.testing import CliRunner
 
+from surgbench import mitsuba_backends
 from surgbench.bench import silhouettes
 from surgbench.bench.peers import PEERS, Peer
 from surgbench.bench.peers.body import Body
@@ -205,13 +206,9 @@ def test_what_is_not_installed_is_skipped_with_what_installs_it(monkeypatch: pyt
 
 
 def test_an_llvm_that_kills_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    import drjit
-    import mitsuba
-
-    monkeypatch.setattr(mitsuba, "set_variant", no_progress)
-    monkeypatch.setattr(drjit.detail, "llvm_version", lambda: (16, 0, 6))
+    monkeypatch.setattr(mitsuba_backends, "llvm_version", lambda: (16, 0, 6))
     assert "needs LLVM 17 or later, found 16.0.6" in str(PEERS["mitsuba-llvm"].problem())
-    monkeypatch.setattr(drjit.detail, "llvm_version", lambda: (19, 1, 7))
+    monkeypatch.setattr(mitsuba_backends, "llvm_version", lambda: (19, 1, 7))
     assert PEERS["mitsuba-llvm"].problem() is None
 
 

@@ -88,6 +88,19 @@ def test_decoding_does_not_depend_on_memory_layout() -> None:
     np.testing.assert_array_equal(space.decode(np.asfortranarray(vectors)), space.decode(vectors))
 
 
+@pytest.mark.parametrize("arms", [1, 2])
+def test_pull_back_is_the_chain_rule(arms: int) -> None:
+    """The derivative of a linear function of the states, by central differences of the search vectors."""
+    rng = np.random.default_rng(0)
+    limits = LIMITS if arms == 1 else JointLimits(np.tile(LIMITS.lower_rad, (2, 1)), np.tile(LIMITS.upper_rad, (2, 1)))
+    space = StateSpace(limits, arms=arms)
+    vectors, gradient = rng.normal(size=(5, 9 * arms)), rng.normal(size=(5, 9 * arms))
+    pulled = space.pull_back(np.asfortranarray(vectors), gradient)
+    for k, step in enumerate(1e-5 * np.eye(9 * arms)):
+        rate = (space.decode(vectors + step) - space.decode(vectors - step)) / 2e-5
+        np.testing.assert_allclose(pulled[:, k], (gradient * rate).sum(axis=1), rtol=1e-6, atol=1e-10)
+
+
 @given(states)
 def test_twin_of_the_twin_is_the_state(state: FloatArray) -> None:
     again = twin(twin(state))

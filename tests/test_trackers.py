@@ -22,6 +22,7 @@ from surgbench.trackers.initialisers.random import RandomInitialiser
 from surgbench.trackers.initialisers.thickness import thickness_weights
 from surgbench.trackers.initialisers.truth import TruthInitialiser
 from surgbench.trackers.optimisers.cma import CMA
+from surgbench.trackers.optimisers.cma_settings import published_settings
 from surgbench.trackers.optimisers.normals import SobolNormals
 
 # --- optimisers
@@ -67,7 +68,8 @@ def test_cma_does_not_care_about_the_scale_of_the_losses() -> None:
 
 
 def test_cma_keeps_arms_apart_and_survives_nan() -> None:
-    search = CMA(np.zeros(4), 1.0, 12, blocks=(2, 2), mean_rate=2.0, covariance_rate=4.0, elites=4)
+    settings = published_settings(4, 12, mean_rate=2.0, covariance_rate=4.0, elites=4)
+    search = CMA(np.zeros(4), 1.0, 12, settings=settings, blocks=(2, 2))
     rng = np.random.default_rng(3)
     for _ in range(30):
         samples = search.ask(rng.standard_normal((12, 4)))

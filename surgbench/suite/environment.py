@@ -17,6 +17,7 @@ PACKAGES = (
     "scipy",
     "numba",
     "opencv-python-headless",
+    "cma",
     "mitsuba",
     "drjit",
     "trimesh",

@@ -25,6 +25,7 @@ from surgbench.objective import LossWeights
 from surgbench.state import ANGLES, BETA, JOINTS, POSITION, STATE_SCALE, JointLimits, StateSpace
 from surgbench.trackers.initialisers.thickness import ThicknessObjective
 from surgbench.trackers.optimisers.cma import CMA
+from surgbench.trackers.optimisers.cma_settings import published_settings
 
 Count = Annotated[int, Field(ge=1)]
 Range = tuple[float, float]
@@ -163,8 +164,9 @@ class RandomInitialiser(Plugin):
         evaluate: Callable[[FloatArray], FloatArray],
         rng: np.random.Generator,
     ) -> tuple[FloatArray, float]:
-        """The best state that CMA-ES with its default rates meets, and its loss."""
-        search = CMA(space.encode(state), sigma, self.config.population)
+        """The best state that CMA-ES with the tutorial's rates meets, and its loss."""
+        settings = published_settings(len(state), self.config.population)
+        search = CMA(space.encode(state), sigma, self.config.population, settings=settings)
         best, best_loss = state, np.inf
         for _ in range(generations):
             samples = search.ask(rng.standard_normal((self.config.population, len(state))))

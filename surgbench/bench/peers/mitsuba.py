@@ -14,9 +14,7 @@ from surgbench.contract import Mask
 from surgbench.depth_scene import add_part, depth_view
 from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument
-
-# LLVM 15 and 16 load and then kill the process: "Cannot select: f32 = fmaximum".
-OLDEST_LLVM = 17
+from surgbench.mitsuba_backends import llvm_problem
 
 
 class _Mitsuba(Peer):
@@ -99,21 +97,7 @@ class MitsubaLLVM(_Mitsuba):
     @classmethod
     def problem(cls) -> str | None:
         """Mitsuba can't be loaded, or finds no LLVM, or one that would kill the process."""
-        problem = super().problem()
-        if problem is not None:
-            return problem
-        import drjit
-        import mitsuba
-
-        try:
-            mitsuba.set_variant(cls.variant)
-            version = drjit.detail.llvm_version()
-        except Exception:  # Dr.Jit's type; it tells at length that it found no LLVM, or one that is older still
-            version = None
-        if version is not None and version[0] >= OLDEST_LLVM:
-            return None
-        found = "none that loads" if version is None else ".".join(map(str, version))
-        return f"needs LLVM {OLDEST_LLVM} or later, found {found}; on Debian and Ubuntu: apt-get install libllvm19"
+        return super().problem() or llvm_problem()
 
     def _cast(self, rows: slice, columns: slice) -> np.ndarray:
         import drjit

@@ -1,0 +1,26 @@
+"""The search spaces of a scene: without joint readings, and with them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from surgbench.contract import Observation, Scene
+from surgbench.state import STATE_SCALE, STATE_SIZE, StateSpace
+
+
+class SearchSpaces:
+    """A state's natural steps; where the joints are read, theirs are smaller.
+
+    Args:
+        scene: Joint limits and number of arms.
+        readings_scale: Factor on the joints' steps where readings are given.
+    """
+
+    def __init__(self, scene: Scene, readings_scale: float) -> None:
+        with_readings = STATE_SCALE * np.where(np.arange(STATE_SIZE) < 6, 1.0, readings_scale)
+        self._without = StateSpace(scene.joint_limits, STATE_SCALE, scene.arms)
+        self._with = StateSpace(scene.joint_limits, with_readings, scene.arms)
+
+    def of(self, observation: Observation) -> StateSpace:
+        """The space in which a frame is searched."""
+        return self._without if observation.joints is None else self._with

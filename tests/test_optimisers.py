@@ -1,0 +1,154 @@
+"""Our optimisers step by step against the packages that others know them from: the same samples in, the same out."""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any
+
+import numpy as np
+import pytest
+
+from surgbench.geometry import FloatArray
+from surgbench.trackers.optimisers.adam import Adam
+from surgbench.trackers.optimisers.cma import CMA
+from surgbench.trackers.optimisers.cma_settings import package_settings, published_settings
+from surgbench.trackers.optimisers.xnes import XNES
+
+
+def ellipsoid(samples: FloatArray) -> FloatArray:
+    """Condition number 1000, minimum at 3."""
+    return np.asarray(((samples - 3.0) ** 2) @ np.logspace(0, 3, samples.shape[1]))
+
+
+def slope(samples: FloatArray) -> FloatArray:
+    """Linear: the step size grows, and long paths make h_sigma zero."""
+    return samples[:, 0].copy()
+
+
+def package_search(start: FloatArray, sigma: float, population: int, rng: np.random.Generator, **options: Any) -> Any:
+    """The package's search; its variances begin a little apart, so that its eigenvectors are defined: not here."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Could not import matplotlib")
+        import cma
+    search = cma.CMAEvolutionStrategy(
+        start,
+        sigma,
+        {
+            "popsize": population,
+            "randn": lambda count, size: rng.standard_normal((count, size)),
+            "seed": np.nan,
+            "verbose": -9,
+            "verb_log": 0,
+            **options,
+        },
+    )
+    search.sm.C[:], search.sm.B[:], search.sm.D[:] = np.eye(len(start)), np.eye(len(start)), 1.0
+    return search
+
+
+@pytest.mark.parametrize("loss", [ellipsoid, slope])
+@pytest.mark.parametrize("active", [True, False])
+@pytest.mark.parametrize(("size", "population"), [(2, 6), (5, 7), (9, 10), (9, 70), (18, 70)])
+def test_cma_is_the_package_cma_step_by_step(loss: Any, active: bool, size: int, population: int) -> None:
+    """Its defaults are ours: mean, covariance and step size are the same, generation after generation."""
+    rng = np.random.default_rng(size)
+    start = rng.normal(size=size)
+    theirs = package_search(start, 0.7, population, rng, **({} if active else {"CMA_active": False}))
+    settings = None if active else package_settings(size, population, active=False)
+    ours = CMA(start, 0.7, population, settings=settings)
+    waits = 0
+    for _ in range(20):
+        asked = theirs.ask()
+        samples = np.array(asked)
+        losses = loss(samples)
+        theirs.tell(asked, losses.tolist())
+        ours.tell(samples, losses)
+        waits += not theirs.adapt_sigma.hsig(theirs)
+        scale = np.abs(theirs.sm.C).max()
+        np.testing.assert_allclose(ours.mean, theirs.mean, rtol=1e-10, atol=1e-10 * theirs.sigma)
+        np.testing.assert_allclose(ours.covariance, theirs.sm.C, rtol=0, atol=1e-10 * scale)
+        assert ours.sigma == pytest.approx(theirs.sigma, rel=1e-10)
+    if loss is slope and (size, population) == (9, 70):
+        assert waits > 0  # or the two definitions of h_sigma would not have been compared
+
+
+def test_samples_have_the_covariance_that_they_should() -> None:
+    """Whatever the root of the covariance is."""
+    rng = np.random.default_rng(0)
+    for settings in (package_settings(3, 12), published_settings(3, 12)):
+        search = CMA(np.zeros(3), 1.0, 12, settings=settings)
+        for _ in range(5):
+            samples = search.ask(rng.standard_normal((12, 3)))
+            search.tell(samples, ellipsoid(samples))
+        drawn = search.ask(np.vstack([np.eye(3), -np.eye(3)])) - search.mean
+        np.testing.assert_allclose(drawn.T @ drawn / 2, search.sigma**2 * search.covariance, atol=1e-12)
+
+
+def test_published_elites_do_not_change_the_rates() -> None:
+    """As in the paper's code: the rates are those of half the population, whatever counts."""
+    few, default = published_settings(9, 70, elites=15), published_settings(9, 70)
+    assert len(few.weights) == 15
+    assert len(default.weights) == 35
+    assert (few.effective, few.rank_mu_rate) == (default.effective, default.rank_mu_rate)
+    raised = published_settings(9, 70, covariance_rate=100.0)
+    assert raised.rank_mu_rate + raised.rank_one_rate == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(("size", "population"), [(2, 6), (9, 70), (18, 71)])
+def test_xnes_is_that_of_the_package_cmaes_step_by_step(size: int, population: int) -> None:
+    import cmaes
+
+    rng = np.random.default_rng(1)
+    start = rng.normal(size=size)
+    theirs, ours = cmaes.XNES(start, 0.7, population_size=population), XNES(start, 0.7, population)
+    for _ in range(20):
+        samples = ours.ask(rng.standard_normal((population, size)))
+        losses = ellipsoid(samples)
+        theirs.tell(list(zip(samples, losses.tolist(), strict=True)))
+        ours.tell(samples, losses)
+        np.testing.assert_allclose(ours.mean, theirs._mean, rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(ours.scale, theirs._sigma * theirs._B, rtol=1e-9, atol=1e-9)
+
+
+def test_xnes_finds_a_minimum_and_counts_nan_as_worst() -> None:
+    rng = np.random.default_rng(0)
+    search = XNES(np.zeros(4), 1.0, 20)
+    for _ in range(150):
+        samples = search.ask(rng.standard_normal((20, 4)))
+        losses = ellipsoid(samples)
+        losses[0] = np.nan
+        search.tell(samples, losses)
+    assert np.abs(search.mean - 3.0).max() < 1e-2
+
+
+def test_adam_is_that_of_torch_step_by_step() -> None:
+    torch = pytest.importorskip("torch")
+    start = np.array([1.0, -2.0, 0.5])
+    theirs = torch.tensor(start, requires_grad=True)
+    optimiser = torch.optim.Adam([theirs], lr=0.1)
+    ours = Adam(start, 0.1)
+    rng = np.random.default_rng(0)
+    for _ in range(15):
+        gradient = 1e4 * rng.normal(size=3)
+        theirs.grad = torch.tensor(gradient)
+        optimiser.step()
+        ours.tell(gradient)
+        np.testing.assert_allclose(ours.point, theirs.detach().numpy(), rtol=1e-12)
+
+
+def test_adam_first_steps_as_far_as_it_may() -> None:
+    """Its second step follows .9 g + .1 g', made up for by 1 - .9^2, over the root of the mean square."""
+    search = Adam(np.array([1.0, 1.0]), 0.1)
+    search.tell(np.array([5.0, -700.0]))
+    np.testing.assert_allclose(search.point, [0.9, 1.1])
+    search.tell(np.array([-5.0, -700.0]))
+    np.testing.assert_allclose(search.point, [0.9 + 0.1 * (0.1 - 0.09) / (1 - 0.9**2), 1.2])
+
+
+def test_adam_does_not_care_about_the_size_of_the_gradient_nor_about_nan() -> None:
+    one, other = Adam(np.zeros(3), 0.1), Adam(np.zeros(3), 0.1)
+    for gradient in ([1.0, -2.0, np.nan], [2.0, 1.0, np.inf], [0.5, -1.0, 0.0]):
+        one.tell(np.array(gradient))
+        other.tell(1e6 * np.array(gradient))
+    np.testing.assert_allclose(one.point, other.point, rtol=1e-6)
+    assert one.point[2] == 0.0

@@ -1,0 +1,34 @@
+"""Gradient descent on the exact gradient of the silhouette, for the baseline GD (NvDiffRast) of Hu et al. 2026."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+
+from surgbench.contract import Scene
+from surgbench.geometry import FloatArray
+from surgbench.objective import Objective
+from surgbench.trackers.optimisers.adam import Adam
+from surgbench.tracking.descent import Descent, DescentConfig, DescentTracker
+
+
+class AdamTracker(DescentTracker):
+    """Adam on the gradient of the area integral behind the pixel counts."""
+
+    name: ClassVar[str] = "adam"
+    summary: ClassVar[str] = "gradient descent with Adam on silhouettes and tips, the baseline of Hu et al. 2026"
+
+    class Config(DescentConfig):
+        """Options; the defaults are the published settings."""
+
+    def __init__(self, config: Config | None = None) -> None:
+        self.config = config or self.Config()
+        super().__init__(self.config)
+
+    def _differentiable(self, scene: Scene, rng: np.random.Generator) -> Objective:
+        return Objective(scene, self.config.loss)
+
+    def _descent(self, start: FloatArray) -> Descent:
+        descent: Descent = Adam(start, self.config.learning_rate)
+        return descent
