@@ -441,7 +441,9 @@ def _write_tables(plan: Plan, out: Path, entry: SequenceEntry) -> tuple[Sequence
     Returns:
         Its part of the manifest, now with the places of the arms' bases, and its ``(frames, 2, 9)`` states.
     """
-    made = make_tables(plan.preset, entry, plan.real_instrument, plan.real_camera)
+    # Of the whole sequence, also where a part of it is made: what moves or errs slowly depends on its length.
+    whole = entry.model_copy(update={"frames": plan.preset.frames})
+    made = make_tables(plan.preset, whole, plan.real_instrument, plan.real_camera).first(entry.frames)
     write_atomic(out / observations_path(entry.id), tables.encode_table(made.observed))
     write_atomic(out / states_path(entry.id), tables.encode_table(made.truth))
     return entry.model_copy(update={"T_cam_base": made.T_cam_base}), made.states

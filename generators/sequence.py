@@ -33,6 +33,12 @@ class SequenceTables:
     truth: dict[str, FloatArray]
     T_cam_base: dict[Arm, tuple[float, ...]]
 
+    def first(self, frames: int) -> SequenceTables:
+        """The same of the first frames alone."""
+        observed = {name: values[:frames] for name, values in self.observed.items()}
+        truth = {name: values[:frames] for name, values in self.truth.items()}
+        return SequenceTables(self.states[:frames], observed, truth, self.T_cam_base)
+
 
 def make_tables(preset: Preset, entry: SequenceEntry, instrument: Instrument, camera: Camera) -> SequenceTables:
     """Move the arms of a sequence and observe them.

@@ -22,6 +22,7 @@ from surgbench.objective import LossWeights, Objective
 from surgbench.silhouette import SilhouetteEvaluator
 from surgbench.state import STATE_SCALE, StateSpace, clip_joints
 from surgbench.trackers.optimisers.cma import CMA
+from surgbench.trackers.optimisers.cma_settings import published_settings
 from surgbench.trackers.registration.belief import MotionBelief
 from surgbench.trackers.registration.edges import explained_edge
 from surgbench.trackers.registration.fit import ContourFit, Fit, FitConfig, Prior
@@ -78,8 +79,8 @@ class HybridTracker(InstrumentTracker):
         acceleration: Annotated[Positive, Field(description="factor on the belief's accelerations")] = 1.0
         fast_acceleration: Annotated[Positive, Field(description="further factor for fast sequences")] = 2.5
         reading_bias_rad: Annotated[NotNegative, Field(description="what readings are wrong by for long")] = 0.02
-        reading_drift_rad: Annotated[NotNegative, Field(description="how that changes from frame to frame")] = 0.001
-        reading_noise_rad: Annotated[Positive, Field(description="what they are wrong by in one frame")] = 0.003
+        reading_drift_rad: Annotated[NotNegative, Field(description="how that changes from frame to frame")] = 0.003
+        reading_noise_rad: Annotated[Positive, Field(description="what they are wrong by in one frame")] = 0.01
         explained: Annotated[float, Field(ge=0, le=1, description="share of edges below which it searches")] = 0.9
         samples: Annotated[int, Field(ge=0, description="states drawn in a search; 0: never search")] = 96
         generations: Annotated[int, Field(ge=0, description="of CMA-ES in a search")] = 3
@@ -107,6 +108,9 @@ class HybridTracker(InstrumentTracker):
         self._evaluator = SilhouetteEvaluator(scene.instruments, scene.views[0].camera)
         self._fit = ContourFit(scene, self._evaluator, self._scale, config.fit)
         self._space = StateSpace(scene.joint_limits, STATE_SCALE, scene.arms)
+        self._evolution = published_settings(
+            len(state), config.population, mean_rate=2.0, covariance_rate=4.0, elites=15
+        )
         self._drawn = np.diag((self._scale / np.tile(DRAWN, scene.arms)) ** 2)
         self._pause = 0
         self._begun = False
@@ -217,7 +221,7 @@ class HybridTracker(InstrumentTracker):
     def _evolve(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Samples of a few generations of CMA-ES from a state on, and their losses."""
         config = self.config
-        search = CMA(self._space.encode(state), 1.0, config.population, mean_rate=2.0, covariance_rate=4.0, elites=15)
+        search = CMA(self._space.encode(state), 1.0, config.population, settings=self._evolution)
         states, losses = [], []
         for _ in range(config.generations):
             samples = search.ask(self._rng.standard_normal((config.population, len(state))))

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from surgbench.report.records import PER_ARM
 from surgbench.report.rows import ERRORS, Row
 from surgbench.reproduce.markdown import markdown
 from surgbench.reproduce.results import LEADERBOARD_CSV, LEADERBOARD_MD, RECORDS_JSON, SEQUENCES_CSV, Results
@@ -50,14 +51,14 @@ def _row_problems(row: Row, sequences: list[Row]) -> list[str]:
         "frames": sum(one["frames"] for one in sequences),
         "lost_frames": sum(one["lost_frames"] for one in sequences),
     }
-    for error in (*ERRORS, "jitter"):
+    for error in (*ERRORS, *PER_ARM):
         means = [
             float(np.mean(values))
             for unit in sorted({one["unit"] for one in sequences})
             if (values := [one[error] for one in sequences if one["unit"] == unit and one[error] is not None])
         ]
         expected[error] = float(np.mean(means)) if means else None
-        if error != "jitter":
+        if error not in PER_ARM:
             sem = float(np.std(means, ddof=1) / math.sqrt(len(means))) if len(means) > 1 else None
             expected[f"{error}_sem"] = sem
     return [

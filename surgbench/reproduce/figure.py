@@ -43,7 +43,9 @@ ERROR_PANELS = (
     ("tip error [mm]", "tip_error_m", 1000.0),
     ("mask error", "mask_error", 1.0),
 )
-# Around the truth, so that a row that is far off does not flatten all others.
+# Errors jump from frame to frame; what matters is where they stay high.
+SMOOTHED_FRAMES = 15
+# Limits around the truth, so that a row that is far off does not flatten all others.
 MARGIN, LEAST_SPAN = 0.6, {1.0: 0.2, 1000.0: 20.0}
 
 
@@ -132,7 +134,7 @@ def _figure(dataset: Dataset, wanted: Picture, lines: list[Line]) -> Figure:
         panel.set_ylabel(name)
     for panel, (name, error, scale) in zip(axes[3], ERROR_PANELS, strict=True):
         for colour, line in zip(COLOURS, lines, strict=False):
-            values = line.record.errors[error].reshape(len(line.record.frames.state), -1)[:, 0]
+            values = _smooth(line.record.errors[error].reshape(len(line.record.frames.state), -1)[:, 0])
             panel.plot(time[: len(values)], scale * values, color=colour, lw=0.9)
         panel.set_yscale("log")
         panel.set_ylabel(name)
@@ -152,7 +154,7 @@ def _figure(dataset: Dataset, wanted: Picture, lines: list[Line]) -> Figure:
         ncols=len(handles),
         frameon=False,
         title=f"{dataset.name}, sequence {spec.sequence} ({sequence.speed} speed), {arm} arm: estimates over time; "
-        "last row: their errors",
+        f"last row: errors, running mean of {SMOOTHED_FRAMES} frames",
     )
     return figure
 
@@ -163,6 +165,12 @@ def _near(states: FloatArray, truth: FloatArray) -> FloatArray:
     chosen = choose_twin(states, truth)
     chosen[:, ANGLES] = truth[:, ANGLES] + wrap_angle(chosen[:, ANGLES] - truth[:, ANGLES])
     return chosen
+
+
+def _smooth(values: FloatArray) -> FloatArray:
+    """Running mean, of as many frames as there are at the ends."""
+    window = np.ones(min(SMOOTHED_FRAMES, len(values)))
+    return np.convolve(values, window, "same") / np.convolve(np.ones(len(values)), window, "same")
 
 
 def _range(truth: FloatArray, scale: float) -> tuple[float, float]:

@@ -14,7 +14,7 @@ import numpy as np
 
 from surgbench.errors import DatasetError
 from surgbench.files import canonical_json
-from surgbench.report.records import Record, read_record
+from surgbench.report.records import PER_ARM, Record, read_record
 from surgbench.report.rows import COMMON_COLUMNS, ERRORS, INSTRUMENT_COLUMNS, SETTING_COLUMNS, Row, derive_rows
 from surgbench.reproduce.difficulty import difficulty
 from surgbench.reproduce.fingerprint import head, record_sha256, sequence_head_sha256
@@ -29,7 +29,7 @@ SEQUENCES_CSV, RECORDS_JSON, FIGURE_PNG = "sequences.csv", "records.json", "figu
 LATENCY_COLUMNS = tuple(column for column in INSTRUMENT_COLUMNS if column.startswith("latency_"))
 LEADERBOARD_COLUMNS = (*INSTRUMENT_COLUMNS, "block", "label")
 # No times: a rerun elsewhere writes the same file.
-SEQUENCE_COLUMNS = ("row_id", "block", "unit", "speed", "repeat", "status", "frames", *ERRORS, "jitter", "lost_frames")
+SEQUENCE_COLUMNS = ("row_id", "block", "unit", "speed", "repeat", "status", "frames", *ERRORS, *PER_ARM, "lost_frames")
 _NUMBERS = {"sequences", "frames", "repeats", "coverage", "iterations", "views", "floor", "calibration_ratio"}
 _TEXT = {*COMMON_COLUMNS, *SETTING_COLUMNS, "block", "label", "unit", "speed"} - {*_NUMBERS, *LATENCY_COLUMNS}
 
@@ -143,7 +143,7 @@ def _sequence_row(work: BlockWork, record: Record) -> Row:
         "frames": len(record.frames.index),
         "lost_frames": sum(record.frames.lost),
     }
-    for error in (*ERRORS, "jitter"):
+    for error in (*ERRORS, *PER_ARM):
         values = record.errors.get(error, np.array([]))
         values = values[~np.isnan(values)]
         row[error] = float(values.mean()) if values.size else None
