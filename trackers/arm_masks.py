@@ -1,0 +1,34 @@
+"""Which part of a mask belongs to which arm, for what looks at one arm at a time."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from surgbench.contract import Mask, View
+
+LEAST_SHARE = 0.1  # of the larger arm's pixels that the other arm has; less is a speck, and the arms are in one part
+
+
+def mask_per_arm(view: View, arms: int) -> tuple[Mask, ...] | None:
+    """One mask per arm: the mask, the instance masks, or the two largest connected parts from left to right.
+
+    Args:
+        view: Its mask and instance masks.
+        arms: 1 or 2.
+
+    Returns:
+        ``arms`` masks ``(H, W)``, left arm first; ``None`` where the two arms touch or one is not seen.
+    """
+    if arms == 1:
+        return (view.mask,)
+    if view.instance_masks is not None:
+        return view.instance_masks
+    count, labels, stats, centres = cv2.connectedComponentsWithStats(view.mask.astype(np.uint8))
+    if count < 3:
+        return None
+    areas = stats[:, cv2.CC_STAT_AREA]
+    first, second = 1 + np.argsort(-areas[1:], kind="stable")[:2]
+    if areas[second] < LEAST_SHARE * areas[first]:
+        return None
+    return tuple(np.asarray(labels == label) for label in sorted((first, second), key=lambda label: centres[label][0]))

@@ -1,0 +1,213 @@
+"""Find the first state by Bayesian optimisation: TuRBO over pose and joints, as Hu et al. 2026 do."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from importlib.util import find_spec
+from typing import Annotated, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from surgbench.contract import Observation, Plugin, Scene
+from surgbench.errors import ConfigError
+from surgbench.geometry import FloatArray
+from surgbench.state import POSITION, STATE_SCALE, STATE_SIZE, StateSpace
+from surgbench.trackers.initialisers.arms import initialise_each_arm
+from surgbench.trackers.initialisers.hypotheses import DISTANCE_M, ELEVATION_DEG, hypothesis_states
+from surgbench.trackers.initialisers.refinement import WIDE, Count, RefinementConfig, Scorer, finish
+from surgbench.trackers.optimisers.cma import CMA
+from surgbench.trackers.optimisers.cma_settings import published_settings
+
+MODULES = ("torch", "gpytorch", "botorch")
+POSE = slice(0, 6)
+# Coordinates of the search: distance, elevation, roll about the shaft, roll about the optical axis, then the joints.
+PERIODIC = np.array([False, False, True, True, False, False, False])
+TIP_STEPS = 3  # of the fixed point that places the tips
+APART = 0.1  # of a coordinate's range, between hypotheses that are refined
+
+
+class TurboInitialiser(Plugin):
+    """Searches pose hypotheses and joints by TuRBO; each is scored after a short refinement of its pose."""
+
+    name: ClassVar[str] = "turbo"
+    summary: ClassVar[str] = "TuRBO over pose and joints, the best refined, as Hu et al. 2026 (extra 'turbo')"
+    needs_truth: ClassVar[bool] = False
+
+    class Config(RefinementConfig):
+        """Options."""
+
+        evaluations: Annotated[Count, Field(description="hypotheses that TuRBO asks for")] = 600
+        batch: Annotated[Count, Field(description="hypotheses at a time, and before the first Gaussian process")] = 50
+        places: Annotated[Count, Field(description="pixels of the mask that the wrist is tried at")] = 32
+        local_generations: Annotated[Count, Field(description="of the refinement of each hypothesis' pose")] = 6
+        local_population: Annotated[int, Field(ge=4, description="its samples a generation")] = 16
+        distance_m: Annotated[tuple[float, float], Field(description="of the wrist along the optical axis")] = (
+            DISTANCE_M
+        )
+        elevation_deg: Annotated[
+            tuple[float, float], Field(description="tilt of the shaft against the optical axis")
+        ] = ELEVATION_DEG
+
+    def __init__(self, config: Config | None = None) -> None:
+        self.config = config or self.Config()
+
+    @classmethod
+    def unavailable(cls) -> str | None:
+        """What is missing of the extra ``turbo``, one line; ``None`` where nothing is."""
+        missing = [name for name in MODULES if find_spec(name) is None]
+        return f"{' and '.join(missing)} not installed: pip install 'surgbench[turbo]'" if missing else None
+
+    def initialise(
+        self,
+        scene: Scene,
+        observation: Observation,
+        rng: np.random.Generator,
+        truth: FloatArray | None,
+        progress: Callable[[float], None],
+    ) -> FloatArray:
+        """Search every arm in its own part of the mask.
+
+        Raises:
+            ConfigError: The extra ``turbo`` is not installed.
+            SurgbenchError: The first mask is empty, or two arms cannot be told apart in it.
+        """
+        missing = self.unavailable()
+        if missing is not None:
+            raise ConfigError(f"initialiser '{self.name}' cannot run: {missing}")
+
+        def search(alone: Scene, frame: Observation, advance: Callable[[float], None]) -> FloatArray:
+            return self._initialise_arm(alone, frame, rng, advance)
+
+        states: FloatArray = initialise_each_arm(scene, observation, progress, search)
+        return states
+
+    def _initialise_arm(
+        self, scene: Scene, observation: Observation, rng: np.random.Generator, progress: Callable[[float], None]
+    ) -> FloatArray:
+        from surgbench.trackers.optimisers.turbo import Turbo
+
+        config = self.config
+        batches = -(-config.evaluations // config.batch)
+        tips = observation.views[0].keypoints[0] is not None
+        each = config.places + tips + config.local_generations * config.local_population
+        score = Scorer(scene, observation, config.loss, batches * config.batch * each + config.work, progress)
+        settle = _Settler(scene, observation, config, score, rng)
+        search = Turbo(PERIODIC[: settle.dimensions], config.batch, rng)
+        points, states, losses = [], [], []
+        for _ in range(batches):
+            asked = search.ask()
+            settled, values = settle(asked)
+            search.tell(asked, np.log(np.maximum(values, 1.0)))
+            points.append(asked)
+            states.append(settled)
+            losses.append(values)
+        chosen = _apart(np.concatenate(points), np.concatenate(losses), config.refined)
+        found: FloatArray = finish(scene, observation, np.concatenate(states)[chosen], config, score, rng)
+        return found
+
+
+class _Settler:
+    """Turns points of the search into states: the wrist is placed over the mask, then the pose refined a little.
+
+    The samples of the refinement are the same for all points, so that the loss is a function of the point.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        observation: Observation,
+        config: TurboInitialiser.Config,
+        score: Scorer,
+        rng: np.random.Generator,
+    ) -> None:
+        self._scene, self._observation, self._config, self._score = scene, observation, config, score
+        self._camera = observation.views[0].camera
+        self._space = StateSpace(scene.limits[0], STATE_SCALE)
+        limits = scene.limits[0]
+        lower, upper = limits.lower_rad.copy(), limits.upper_rad.copy()
+        upper[0] = min(upper[0], 0.0)  # of a state and its 180-degree twin, one has a negative wrist pitch
+        low = [config.distance_m[0], np.deg2rad(config.elevation_deg[0]), 0.0, 0.0]
+        high = [config.distance_m[1], np.deg2rad(config.elevation_deg[1]), 2 * np.pi, 2 * np.pi]
+        if observation.joints is None:
+            low, high = [*low, *lower], [*high, *upper]
+        self._low, self._high = np.array(low), np.array(high)
+        rows, columns = np.nonzero(observation.mask)
+        pick = rng.integers(len(rows), size=config.places)
+        self._places = columns[pick], rows[pick]
+        self._normals = rng.standard_normal((config.local_generations, config.local_population, 6))
+
+    @property
+    def dimensions(self) -> int:
+        """7, or 4 where the joints are read."""
+        return len(self._low)
+
+    def __call__(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """States ``(n, 9)`` and losses ``(n,)`` of ``(n, dimensions)`` points of the unit cube."""
+        return self._refine(self._place(points))
+
+    def _place(self, points: FloatArray) -> FloatArray:
+        distance, elevation, roll_local, roll_camera, *joints = (self._low + points * (self._high - self._low)).T
+        read = self._observation.joints
+        q = np.stack(joints, axis=1) if read is None else np.tile(read, (len(points), 1))
+        places = len(self._places[0])
+
+        def at(u: NDArray[np.float64], v: NDArray[np.float64], times: int) -> FloatArray:
+            angles = (np.repeat(a, times) for a in (roll_camera, elevation, roll_local, distance))
+            states: FloatArray = hypothesis_states(self._camera, *angles, (u, v), np.repeat(q, times, axis=0))
+            return states
+
+        n = len(points)
+        tried = at(np.tile(self._places[0], n), np.tile(self._places[1], n), places).reshape(n, places, STATE_SIZE)
+        tips = self._observation.views[0].keypoints[0]
+        if tips is not None:
+            by_tips = self._over_tips(tried[:, 0].copy(), tips)
+            tried = np.concatenate([tried, by_tips[:, None]], axis=1)
+        losses = self._score(tried.reshape(-1, STATE_SIZE)).reshape(n, -1)
+        placed: FloatArray = tried[np.arange(n), np.argmin(losses, axis=1)]
+        return placed
+
+    def _over_tips(self, states: FloatArray, tips_px: FloatArray) -> FloatArray:
+        """The states moved sideways until the middle of their tips is seen where it was observed."""
+        focal = np.array([self._camera.fx, self._camera.fy])
+        for _ in range(TIP_STEPS):
+            tips = self._scene.instruments[0].tips_cam(states)
+            off = tips_px.mean(axis=0) - self._camera.project(tips).mean(axis=-2)
+            states[:, POSITION.start : POSITION.start + 2] += off / focal * tips[..., 2].mean(axis=-1, keepdims=True)
+        return states
+
+    def _refine(self, states: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """A few generations of CMA-ES on each pose, joints as they are."""
+        starts = self._space.encode(states)
+        population = self._config.local_population
+        settings = published_settings(POSE.stop, population)
+        searches = [CMA(start[POSE], WIDE, population, settings=settings) for start in starts]
+        best, least = states.copy(), np.full(len(states), np.inf)
+        for normals in self._normals:
+            asked = np.stack([search.ask(normals) for search in searches])
+            vectors = np.repeat(starts[:, None], asked.shape[1], axis=1)
+            vectors[..., POSE] = asked
+            tried = self._space.decode(vectors)
+            losses = self._score(tried.reshape(-1, STATE_SIZE)).reshape(len(states), -1)
+            for search, samples, values in zip(searches, asked, losses, strict=True):
+                search.tell(samples, values)
+            first = np.argmin(losses, axis=1)
+            found = losses[np.arange(len(states)), first]
+            better = found < least
+            best[better], least[better] = tried[np.arange(len(states)), first][better], found[better]
+        return best, least
+
+
+def _apart(points: FloatArray, losses: FloatArray, keep: int) -> list[int]:
+    """The best ``keep`` points of which no two are near each other in all coordinates."""
+    periodic = PERIODIC[: points.shape[1]]
+    chosen: list[int] = []
+    for index in np.argsort(losses, kind="stable"):
+        away = np.abs(points[chosen] - points[index])
+        away = np.where(periodic, np.minimum(away, 1.0 - away), away)
+        if not chosen or np.max(away, axis=1).min() > APART:
+            chosen.append(int(index))
+        if len(chosen) == keep:
+            break
+    return chosen
