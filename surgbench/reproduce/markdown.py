@@ -84,8 +84,8 @@ def _times(about: dict[str, Any], source: str, machine: str) -> str:
 def _dataset(block: Block, dataset: dict[str, Any]) -> str:
     """What a reader needs to see whether a row is won by an easy dataset."""
     speeds = [
-        f"{speed} sequences, an arm moves {1000 * values['translation_m']:.2f} mm, {values['rotation_rad']:.4f} rad and "
-        f"{values['joints_rad']:.4f} rad per joint a frame in the mean, and its masks differ from the "
+        f"{speed} sequences, an arm moves {1000 * values['translation_m']:.2f} mm, {values['rotation_rad']:.4f} rad "
+        f"and {values['joints_rad']:.4f} rad per joint a frame in the mean, and its masks differ from the "
         f"true ones by {values['mask_error']:.4f} (1 − IoU)"
         for speed, values in dataset["difficulty"].items()
     ]
