@@ -1,13 +1,15 @@
-# Two commands: `make demo` and `make test`. Both set up .venv from the pinned constraints first.
+# Two commands: `make demo` and `make test`. Both set up .venv from the pinned constraints first. `make extras-test`
+# installs optional packages too and runs what needs them; CI runs it after `make test`.
 
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 SETUP := $(VENV)/.setup-done
+EXTRAS := $(VENV)/.extras-done
 DEMO := demo
 PIP := $(BIN)/python -m pip install --disable-pip-version-check -q -c constraints.txt
 
-.PHONY: demo test lint types unit wheel-test setup clean
+.PHONY: demo test lint types unit wheel-test extras-test setup clean
 
 demo: $(SETUP)
 	$(BIN)/surgbench generate mini --out $(DEMO)/mini
@@ -40,12 +42,23 @@ wheel-test: $(SETUP)
 		$(WHEEL_TESTS:%=../../../tests/test_%.py) \
 		../../../tests/test_run.py::test_the_papers_tracker_follows_the_mini_dataset
 
+# Types are checked once more, for with the extras there is more to check against.
+EXTRAS_TESTS := autograd instrument optimisers silhouette_torch turbo
+extras-test: $(EXTRAS)
+	$(BIN)/mypy
+	$(BIN)/python -m pytest -q $(EXTRAS_TESTS:%=tests/test_%.py)
+
 setup: $(SETUP)
 
 $(SETUP): pyproject.toml constraints.txt tools/system-libraries.sh
 	sh tools/system-libraries.sh
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	PYTHONWARNINGS=ignore $(PIP) -e '.[dev]'
+	touch $@
+
+$(EXTRAS): $(SETUP)
+	sh tools/system-libraries.sh meshes
+	PYTHONWARNINGS=ignore $(PIP) -e '.[dev,torch,turbo,meshes]'
 	touch $@
 
 clean:

@@ -1,14 +1,24 @@
 #!/bin/sh
-# Mitsuba needs libatomic.so.1, which bare Debian machines lack: install it where we may, else say how.
+# System libraries that bare Debian machines lack: install them where we may, else say how. Mitsuba needs
+# libatomic.so.1 always; with the argument `meshes`, those of pymeshlab too.
 set -eu
-if ldconfig -p 2>/dev/null | grep -q 'libatomic\.so\.1' || /sbin/ldconfig -p 2>/dev/null | grep -q 'libatomic\.so\.1'; then
-    exit 0
+
+need() { # PACKAGE SONAME WHAT
+    if { ldconfig -p 2>/dev/null || /sbin/ldconfig -p 2>/dev/null; } | grep -qF "$2"; then
+        return
+    fi
+    if [ "$(id -u)" = 0 ] && command -v apt-get >/dev/null 2>&1; then
+        echo "installing $1, which $3 needs"
+        apt-get install -y -qq "$1" >/dev/null 2>&1 || { apt-get update -qq && apt-get install -y -qq "$1" >/dev/null; }
+        return
+    fi
+    echo "$3 needs the system library $1; install it and run make again:" >&2
+    echo "    sudo apt-get install $1" >&2
+    exit 1
+}
+
+need libatomic1 libatomic.so.1 Mitsuba
+if [ "${1:-}" = meshes ]; then
+    need libgl1 libGL.so.1 pymeshlab
+    need libopengl0 libOpenGL.so.0 pymeshlab
 fi
-if [ "$(id -u)" = 0 ] && command -v apt-get >/dev/null 2>&1; then
-    echo "installing libatomic1, which Mitsuba needs"
-    apt-get install -y -qq libatomic1 >/dev/null 2>&1 || { apt-get update -qq && apt-get install -y -qq libatomic1 >/dev/null; }
-    exit 0
-fi
-echo "Mitsuba needs the system library libatomic1; install it and run make again:" >&2
-echo "    sudo apt-get install libatomic1" >&2
-exit 1

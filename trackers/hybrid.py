@@ -79,8 +79,8 @@ class HybridTracker(InstrumentTracker):
         acceleration: Annotated[Positive, Field(description="factor on the belief's accelerations")] = 1.0
         fast_acceleration: Annotated[Positive, Field(description="further factor for fast sequences")] = 2.5
         reading_bias_rad: Annotated[NotNegative, Field(description="what readings are wrong by for long")] = 0.02
-        reading_drift_rad: Annotated[NotNegative, Field(description="how that changes from frame to frame")] = 0.001
-        reading_noise_rad: Annotated[Positive, Field(description="what they are wrong by in one frame")] = 0.003
+        reading_drift_rad: Annotated[NotNegative, Field(description="how that changes from frame to frame")] = 0.003
+        reading_noise_rad: Annotated[Positive, Field(description="what they are wrong by in one frame")] = 0.01
         explained: Annotated[float, Field(ge=0, le=1, description="share of edges below which it searches")] = 0.9
         samples: Annotated[int, Field(ge=0, description="states drawn in a search; 0: never search")] = 96
         generations: Annotated[int, Field(ge=0, description="of CMA-ES in a search")] = 3

@@ -57,7 +57,10 @@ class TurboInitialiser(Plugin):
     def unavailable(cls) -> str | None:
         """What is missing of the extra ``turbo``, one line; ``None`` where nothing is."""
         missing = [name for name in MODULES if find_spec(name) is None]
-        return f"{' and '.join(missing)} not installed: pip install 'surgbench[turbo]'" if missing else None
+        if not missing:
+            return None
+        verb = "is" if len(missing) == 1 else "are"
+        return f"{' and '.join(missing)} {verb} not installed: pip install 'surgbench[turbo]'"
 
     def initialise(
         self,
