@@ -19,6 +19,10 @@ from surgbench.dataset.validate import validate
 from surgbench.errors import DatasetError
 from surgbench.generators.generate import generate, plan_dataset
 from surgbench.generators.presets import Preset
+from surgbench.geometry import is_rigid, look_at_rotation, rotation_angle
+from surgbench.state import ANGLES, POSITION
+from surgbench.suite.execute import UnitData
+from surgbench.suite.plan import Readings
 
 CAMERA = Camera(width=90, height=62, fx=113.0, fy=112.0, cx=36.3, cy=29.4)
 MASK = "sequences/000/observed/left/000001.png"
@@ -78,6 +82,66 @@ def test_reader(original: Path) -> None:
     assert readings.shape == (4, 3)
     assert states.shape == (4, 9)
     assert dataset.instrument("large_needle_driver").name == "large_needle_driver"
+
+
+def test_kinematics(original: Path) -> None:
+    sequence = Dataset.open(original).sequence("000")
+    poses, states = sequence.kinematics("right"), sequence.states("right")
+    assert poses is not None
+    assert states is not None
+    assert poses.shape == (4, 4, 4)
+    assert all(is_rigid(pose) for pose in poses)
+    # No robot: its base is the camera, nominally.
+    np.testing.assert_array_equal(sequence.T_cam_base("right"), np.eye(4))
+    assert 0 < np.linalg.norm(poses[:, :3, 3] - states[:, POSITION], axis=1).max() < 0.03
+    assert rotation_angle(np.swapaxes(poses[:, :3, :3], 1, 2) @ look_at_rotation(states[:, ANGLES])).max() < 0.15
+
+
+def test_a_dataset_from_before_there_were_kinematics_is_read(root: Path) -> None:
+    def forget(columns: dict[str, Any]) -> None:
+        for name in [name for name in columns if "_base_" in name]:
+            del columns[name]
+
+    edit_table(root, OBSERVATIONS, forget)
+    manifest = json.loads((root / "dataset.json").read_text())
+    del manifest["sequences"][0]["T_cam_base"]
+    (root / "dataset.json").write_text(json.dumps(manifest))
+    assert validate(root) == []
+    dataset = Dataset.open(root)
+    sequence = dataset.sequence("000")
+    assert sequence.kinematics("left") is None
+    assert sequence.T_cam_base("left") is None
+    data = UnitData(dataset, dataset.units("dual")[0], "noisy")
+    assert data.scene().T_cam_base is None
+    assert data.observation(0, sequence.mask("both", 0)).kinematics is None
+
+
+@pytest.mark.parametrize("readings", ["noisy", "true"])
+def test_kinematics_come_with_readings(root: Path, readings: Readings) -> None:
+    def lose(columns: dict[str, Any]) -> None:
+        for name in columns:
+            if name.startswith("left_base_"):
+                columns[name][1] = np.nan
+
+    edit_table(root, OBSERVATIONS, lose)
+    dataset = Dataset.open(root)
+    sequence, unit = dataset.sequence("000"), dataset.units("dual")[0]
+    mask = sequence.mask("both", 0)
+    data = UnitData(dataset, unit, readings)
+    scene, seen = data.scene(), data.observation(0, mask).kinematics
+    assert scene.T_cam_base is not None
+    assert scene.T_cam_base.shape == (2, 4, 4)
+    assert seen is not None
+    # True joints make no better robot.
+    for index, arm in enumerate(unit.arms):
+        poses = sequence.kinematics(arm)
+        assert poses is not None
+        np.testing.assert_array_equal(seen[index], poses[0])
+    assert data.observation(1, mask).kinematics is None
+    assert UnitData(dataset, unit, "none").observation(0, mask).kinematics is None
+    alone = UnitData(dataset, dataset.units("single")[1], readings).observation(1, mask).kinematics
+    assert alone is not None
+    assert alone.shape == (1, 4, 4)
 
 
 def test_units(original: Path) -> None:
@@ -165,6 +229,10 @@ def test_sequence_entry_refuses_nonsense() -> None:
         {"kinds": ["left", "left"]},
         {"id": "../x"},
         {"frames": 0},
+        {"T_cam_base": {"right": np.eye(4).ravel().tolist()}},
+        {"T_cam_base": {"left": np.eye(3).ravel().tolist()}},
+        {"T_cam_base": {"left": (2 * np.eye(4)).ravel().tolist()}},
+        {"T_cam_base": {"left": [float("nan")] * 16}},
     ]
     for change in wrong:
         with pytest.raises(ValueError, match=r"."):
@@ -282,6 +350,9 @@ def test_an_altered_instrument(root: Path) -> None:
         (OBSERVATIONS, "timestamp_s", 0.0, "'timestamp_s' must be finite and increase"),
         (OBSERVATIONS, "timestamp_s", np.nan, "'timestamp_s' must be finite and increase"),
         (OBSERVATIONS, "left_u1_px", 4000.0, "frame 2: a keypoint of the left arm lies outside the image"),
+        (OBSERVATIONS, "left_base_x_m", np.inf, "frame 2: the left arm's tool pose is not finite, or its rotation"),
+        (OBSERVATIONS, "right_base_y_m", np.nan, "frame 2: the right arm's tool pose is not finite, or its rotation"),
+        (OBSERVATIONS, "right_base_rz_rad", 3.5, "or its rotation vector is longer than pi"),
         (OBSERVATIONS, "left_q2_rad", 7.0, "frame 2: a joint reading of the left arm is outside [-pi, pi]"),
     ],
 )
@@ -308,14 +379,15 @@ def test_half_a_keypoint(root: Path) -> None:
 
 def test_missing_keypoints_and_readings_are_no_problem(root: Path) -> None:
     def change(columns: dict[str, Any]) -> None:
-        for name in ("left_u1_px", "left_v1_px", "left_q1_rad"):
-            columns[name][0] = np.nan
+        for name in columns:
+            if name in ("left_u1_px", "left_v1_px", "left_q1_rad") or name.startswith("right_base_"):
+                columns[name][0] = np.nan
 
     edit_table(root, OBSERVATIONS, change)
     assert validate(root) == []
 
 
-@pytest.mark.parametrize("column", ["left_q1_rad", "right_v2_px", "timestamp_s"])
+@pytest.mark.parametrize("column", ["left_q1_rad", "right_v2_px", "timestamp_s", "left_base_z_m"])
 def test_a_missing_column(root: Path, column: str) -> None:
     edit_table(root, OBSERVATIONS, lambda columns: columns.pop(column))
     assert f"lacks the column '{column}'" in the_problem(root)

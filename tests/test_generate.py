@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import hashlib
 import os
 import shutil
 import signal
@@ -14,7 +15,7 @@ import numpy as np
 import pytest
 
 from surgbench.camera import Camera
-from surgbench.config import packaged_names
+from surgbench.config import locate, packaged_names, read_yaml
 from surgbench.contract import Mask
 from surgbench.dataset import Dataset
 from surgbench.dataset.validate import validate
@@ -31,6 +32,7 @@ from surgbench.generators.presets import (
     load_preset,
 )
 from surgbench.generators.render import MaskRenderer, visible_box
+from surgbench.generators.sequence import make_tables
 from surgbench.generators.trajectories import make_pair
 from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument, load_instrument, save_instrument
@@ -242,16 +244,27 @@ def test_readings_have_bias_drift_and_noise() -> None:
 
 
 def test_every_preset_loads() -> None:
-    assert packaged_names("presets") == ["mini", "paper"]
+    assert packaged_names("presets") == ["mini", "mismatch", "paper", "paper-rcm"]
     mini, paper = load_preset("mini"), load_preset("paper")
     assert (mini.pairs, mini.frames) == (1, 60)
     assert (paper.pairs, paper.frames) == (16, 1000)
     assert [entry.speed for entry in plan_dataset(paper).sequences] == ["nominal"] * 8 + ["fast"] * 8
     assert [entry.speed for entry in plan_dataset(mini).sequences] == ["nominal"]
+    for name, frames in (("paper-rcm", 500), ("mismatch", 300)):
+        preset = load_preset(name)
+        assert (preset.pairs, preset.frames, preset.motion.kind) == (4, frames, "rcm")
 
 
 def test_paper_yaml_spells_out_the_defaults() -> None:
     assert load_preset("paper") == Preset(name="paper", pairs=16, frames=1000)
+    written = read_yaml(locate("presets", "preset", "paper"), "preset")
+
+    def missing(model: dict[str, Any], text: dict[str, Any]) -> list[str]:
+        nested = [missing(value, text[key]) for key, value in model.items() if isinstance(text.get(key), dict)]
+        return [*(key for key in model if key not in text), *(key for keys in nested for key in keys)]
+
+    # The camera has none, and may not.
+    assert missing(load_preset("paper").model_dump(), written) == ["distortion"]
 
 
 def test_options_override_the_preset() -> None:
@@ -268,6 +281,8 @@ HEAD = "name: x\npairs: 1\nframes: 3\n"
     [
         ("name: x\npairz: 1\nframes: 3\n", "unknown key 'pairz'; did you mean 'pairs'?"),
         (HEAD + "motion: {ou_roh: 0.9}\n", "unknown key 'motion.ou_roh'; did you mean 'ou_rho'?"),
+        (HEAD + "motion: {kind: rmc}\n", "'motion.kind': input should be 'free' or 'rcm', not 'rmc'"),
+        (HEAD + "mismatch: {distortion: [0.1]}\n", "distortion must have 4 or 5 coefficients, k1, k2, p1, p2 and k3"),
         (HEAD + "camera: {widht: 3}\n", "unknown key 'camera.widht'; did you mean 'width'?"),
         (HEAD + "corruption: {blobs: [{radius: 3}]}\n", "unknown key 'corruption.blobs.0.radius'; did you mean"),
         ("name: x\nframes: 3\n", "key 'pairs' is missing"),
@@ -356,6 +371,29 @@ def test_a_generated_dataset_is_sound_and_complete(made: Path, instrument: Instr
     )
     assert dataset.manifest.seed == 0
     assert dataset.manifest.configuration["preset"] == FEW.model_dump(mode="json")
+
+
+def fingerprint(columns: dict[str, FloatArray]) -> str:
+    """Of numbers to 1e-7, so that it is the same on all processors."""
+    digest = hashlib.sha256()
+    for name, values in sorted(columns.items()):
+        counts = np.where(np.isnan(values), 2**31 - 1, np.rint(np.nan_to_num(values) * 1e7))
+        digest.update(name.encode() + counts.astype("<i8").tobytes())
+    return digest.hexdigest()
+
+
+def test_free_motion_keeps_the_numbers_it_had_before_there_were_kinematics(made: Path) -> None:
+    plan = plan_dataset(load_preset("mini"))
+    numbers = make_tables(plan.preset, plan.sequences[0], plan.real_instrument, plan.real_camera)
+    assert fingerprint(numbers.truth) == "30a73507f4e1ff128128a521bb174b649a8fc4f8bb66da7c97f9364292995801"
+    before = {name: values for name, values in numbers.observed.items() if "_base_" not in name}
+    assert fingerprint(before) == "7b6fca04263f7a9772f1acea18e401e39710272a0e7db5e85379808be77bbaa5"
+    areas = [
+        [int(mask(kind, 2).sum()) for mask in (sequence.clean_mask, sequence.mask) for kind in sequence.entry.kinds]
+        for sequence in Dataset.open(made).sequences
+    ]
+    # Ties at edges may fall either way on another processor.
+    np.testing.assert_allclose(areas, [[1812, 577, 2389, 1812, 577, 2389], [1080, 698, 1778, 1080, 530, 1778]], atol=3)
 
 
 def test_same_bytes_again_and_other_bytes_for_another_seed(made: Path, tmp_path: Path) -> None:

@@ -10,7 +10,18 @@ from scipy.spatial.transform import Rotation
 from support import resting_state
 
 from surgbench.camera import Camera
-from surgbench.geometry import FloatArray, look_at_angles, look_at_rotation, rotation_angle, wrap_angle
+from surgbench.geometry import (
+    FloatArray,
+    inverse_transform,
+    is_rigid,
+    look_at_angles,
+    look_at_rotation,
+    rigid_transform,
+    rotation_angle,
+    rotation_from_vector,
+    rotation_vector,
+    wrap_angle,
+)
 from surgbench.instrument import load_instrument
 from surgbench.randomness import generator, seed_from
 from surgbench.silhouette import SilhouetteEvaluator
@@ -34,6 +45,31 @@ def test_rotation_is_the_product_of_eq_9(abc: FloatArray) -> None:
     np.testing.assert_allclose(look_at_rotation(abc), expected, atol=1e-12)
     back = look_at_rotation(look_at_angles(look_at_rotation(abc)))
     np.testing.assert_allclose(back, expected, atol=1e-7)
+
+
+@given(
+    st.tuples(angles, angles, angles).map(np.array).filter(lambda axis: np.linalg.norm(axis) > 1e-3),
+    st.one_of(st.floats(0.0, np.pi), st.sampled_from([0.0, 1e-12, 1e-6, np.pi - 1e-9, np.pi])),
+)
+def test_rotation_vectors(axis: FloatArray, angle: float) -> None:
+    vector = angle * axis / np.linalg.norm(axis)
+    rotation = rotation_from_vector(vector)
+    np.testing.assert_allclose(rotation, Rotation.from_rotvec(vector).as_matrix(), atol=1e-14)
+    back = rotation_vector(rotation)
+    assert np.linalg.norm(back) == pytest.approx(angle, abs=1e-8)
+    np.testing.assert_allclose(rotation_from_vector(back), rotation, atol=1e-14)
+    if angle < np.pi - 1e-6:  # half a turn is the same either way round
+        np.testing.assert_allclose(back, vector, atol=1e-8)
+
+
+def test_rigid_transforms() -> None:
+    rotations = look_at_rotation(np.array([[0.1, 0.2, 0.3], [-1.0, 2.0, 0.5]]))
+    transforms = rigid_transform(rotations, np.array([[1.0, 2.0, 3.0], [0.0, -1.0, 0.5]]))
+    np.testing.assert_allclose(inverse_transform(transforms), np.linalg.inv(transforms), atol=1e-12)
+    assert is_rigid(transforms[0])
+    for wrong in (np.diag([1.0, 1.0, -1.0, 1.0]), np.diag([1.0, 1.0, 1.01, 1.0]), np.diag([1.0, 1.0, 1.0, 2.0])):
+        assert not is_rigid(wrong)
+    assert not is_rigid(np.full((4, 4), np.nan))
 
 
 @given(st.tuples(angles, angles, angles).map(np.array), st.floats(0.0, np.pi))

@@ -3,10 +3,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from surgbench.dataset.format import ARMS
 from surgbench.errors import ConfigError
-from surgbench.generators.place import clearance_m
+from surgbench.generators.place import Place, clearance_m
 from surgbench.generators.presets import Preset, Workspace, load_preset
-from surgbench.generators.trajectories import make_pair, ornstein_uhlenbeck
+from surgbench.generators.trajectories import PairMotion, make_motion, make_pair, ornstein_uhlenbeck
 from surgbench.geometry import FloatArray, look_at_rotation, wrap_angle
 from surgbench.instrument import Instrument, load_instrument
 from surgbench.randomness import generator
@@ -145,3 +146,86 @@ def test_ornstein_uhlenbeck_is_stationary_and_correlated() -> None:
     assert noise[-1].std() == pytest.approx(1.0, abs=0.06)
     assert np.mean(noise[10] * noise[9]) == pytest.approx(0.9, abs=0.08)
     assert np.mean(noise[20] * noise[10]) == pytest.approx(0.9**10, abs=0.08)
+
+
+# Whole arms about fixed remote centres
+
+
+@pytest.fixture(scope="module")
+def rcm() -> Preset:
+    return load_preset("paper-rcm")
+
+
+@pytest.fixture(scope="module")
+def moved(instrument: Instrument, rcm: Preset) -> list[PairMotion]:
+    speeds = ["nominal"] * len(SEEDS) + ["fast"] * len(SEEDS)
+    return [
+        make_motion(rcm, instrument, speed, 400, generator(test=seed))
+        for speed, seed in zip(speeds, [*SEEDS, *SEEDS], strict=True)
+    ]
+
+
+def test_all_shafts_of_an_arm_pass_through_its_remote_centre(moved: list[PairMotion], rcm: Preset) -> None:
+    for motion in moved:
+        for index, robot in enumerate(motion.arms):
+            assert robot is not None
+            states = motion.states[:, index]
+            axis = look_at_rotation(states[:, ANGLES])[..., 2]
+            # The point nearest to all shafts, from the states alone.
+            across = np.eye(3) - axis[:, :, None] * axis[:, None]
+            centre = np.linalg.solve(across.sum(axis=0), (across @ states[:, POSITION, None]).sum(axis=0)[:, 0])
+            assert np.linalg.norm(across @ (centre - states[:, POSITION])[..., None], axis=1).max() < 1e-9
+            np.testing.assert_allclose(centre, robot.T_cam_base[:3, 3], atol=1e-9)
+            assert not rcm.camera.contains(rcm.camera.project(centre))
+
+
+def test_arm_joints_are_within_limits_and_give_the_states(moved: list[PairMotion]) -> None:
+    for motion in moved:
+        for index, robot in enumerate(motion.arms):
+            assert robot is not None
+            assert robot.arm.within_limits(robot.arm_joints).all()
+            depth_m = robot.arm.depth_m(robot.arm_joints[:, 2])
+            assert depth_m.min() > 0.05
+            assert depth_m.max() < 0.3237
+            wrist = robot.T_cam_base @ robot.arm.forward(robot.arm_joints)
+            states = motion.states[:, index]
+            np.testing.assert_allclose(wrist[:, :3, :3], look_at_rotation(states[:, ANGLES]), atol=1e-9)
+            np.testing.assert_allclose(wrist[:, :3, 3], states[:, POSITION], atol=1e-12)
+
+
+def test_whole_arms_keep_all_bounds_in_every_frame(
+    moved: list[PairMotion], instrument: Instrument, rcm: Preset
+) -> None:
+    space, limits = rcm.workspace, instrument.generate_limits
+    for motion in moved:
+        states = motion.states
+        for index, arm in enumerate(ARMS):
+            place = Place(arm, space, rcm.camera, instrument)
+            assert place.in_workspace(states[:, index]).all()
+            assert place.allows(states[:, index], space.tip_margin).all()
+        assert clearance_m(instrument, states[:, 0], states[:, 1]).min() >= space.clearance_m
+        assert ((states[..., JOINTS] >= limits.lower_rad) & (states[..., JOINTS] <= limits.upper_rad)).all()
+        assert np.abs(states[..., ANGLES]).max() <= np.pi
+
+
+def test_whole_arms_move_about_as_fast_as_free_ones(moved: list[PairMotion]) -> None:
+    def speed(motion: PairMotion) -> float:
+        return float(np.linalg.norm(np.diff(motion.states[..., POSITION], axis=0), axis=-1).mean())
+
+    nominal, fast = np.mean([speed(motion) for motion in moved[:2]]), np.mean([speed(motion) for motion in moved[2:]])
+    assert 0.3e-3 < nominal < 0.9e-3
+    assert 1.6 < fast / nominal < 2.2
+    # Each arm visits a good part of the workspace, and not the same for all.
+    for motion in moved:
+        assert (np.ptp(motion.states[..., POSITION], axis=0) > 0.015).all()
+    centres = np.array([[robot.T_cam_base[:3, 3] for robot in motion.arms if robot] for motion in moved[:2]])
+    assert (np.linalg.norm(centres[0] - centres[1], axis=-1) > 0.005).all()
+
+
+def test_a_workspace_that_no_arm_reaches_is_one_clear_line(
+    instrument: Instrument, rcm: Preset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("surgbench.generators.trajectories.PATHS", 2)
+    tight = rcm.model_copy(update={"workspace": Workspace(reach=(0.99, 1.0))})
+    with pytest.raises(ConfigError, match=r"^preset 'paper-rcm': no feasible nominal trajectory of 3 frames[^\n]*$"):
+        make_motion(tight, instrument, "nominal", 3, generator(test=0))

@@ -1,0 +1,99 @@
+"""The arm's kinematics against values verified on a robot, finite differences and its own inverse."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from surgbench.arm import CLASSIC_400006, CLASSIC_420006, Manipulator
+from surgbench.geometry import FloatArray
+
+# A ProGrasp 420093 on a Classic arm: the wrist's two joints after frame 4, and the robot's orientation of the tool tip.
+WRIST_LENGTH_M = 0.0107
+TOOL_TIP = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, 1.0], [-1.0, 0.0, 0.0]])
+
+
+def link(a_m: float, theta_rad: float) -> FloatArray:
+    """One modified Denavit-Hartenberg transform with alpha = -pi/2."""
+    c, s = np.cos(theta_rad), np.sin(theta_rad)
+    return np.array([[c, -s, 0, a_m], [0, 0, 1, 0], [-s, -c, 0, 0], [0, 0, 0, 1.0]])
+
+
+def tool(joints: list[float]) -> FloatArray:
+    """T_base_tool of all six joints, as the robot gives it."""
+    wrist = CLASSIC_420006.forward(np.array(joints[:4]))
+    tip = wrist @ link(0.0, joints[4] - np.pi / 2) @ link(WRIST_LENGTH_M, joints[5] - np.pi / 2)
+    tip[:3, :3] = tip[:3, :3] @ TOOL_TIP
+    return tip
+
+
+def test_forward_kinematics_are_those_of_the_robot() -> None:
+    straight = tool([0, 0, 0.1, 0, 0, 0])
+    np.testing.assert_allclose(straight[:3, 3], [0, 0, -0.1459], atol=1e-12)
+    np.testing.assert_allclose(straight[:3, :3], [[0, 1, 0], [1, 0, 0], [0, 0, -1]], atol=1e-12)
+    bent = tool([0.1, -0.2, 0.15, 0.3, -0.4, 0.5])
+    np.testing.assert_allclose(bent[:3, 3], [0.020231140763, 0.042652841338, -0.189302373692], atol=1e-11)
+    rotation = [
+        [0.215278041887, 0.744776678262, 0.631635230333],
+        [0.785017814675, -0.516705468806, 0.341705266492],
+        [0.580863491126, 0.422283267515, -0.695898301947],
+    ]
+    np.testing.assert_allclose(bent[:3, :3], rotation, atol=1e-11)
+    camera_arm = tool([-0.584, -0.497, 0.081, -2.758, -0.278, 0.164])
+    np.testing.assert_allclose(camera_arm[:3, 3], [-0.06293686482, 0.057915269875, -0.0932357739], atol=1e-10)
+
+
+def test_jacobian_is_that_of_the_robot() -> None:
+    joints = [0.1, -0.2, 0.15, 0.3, -0.4, 0.5]
+    jacobian = CLASSIC_420006.jacobian(np.array(joints[:4]))
+    lever = tool(joints)[:3, 3] - CLASSIC_420006.forward(np.array(joints[:4]))[:3, 3]
+    jacobian[:3] += np.cross(jacobian[3:].T, lever).T
+    expected = [
+        [0.189302, 0, 0.020231, 0, -1, 0],
+        [0.004258, -0.190376, -0.042440, -0.995004, 0, -0.099833],
+        [0.097843, 0.198669, -0.975170, 0, 0, 0],
+        [0.003985, -0.001207, 0.000154, 0.097843, 0.198669, -0.975170],
+    ]
+    np.testing.assert_allclose(jacobian.T, expected, atol=6e-7)
+
+
+# Roll within a turn, so that it is unique; the wrist below the remote centre.
+joints_within = st.tuples(
+    st.floats(-1.588, 1.588), st.floats(-0.925, 0.925), st.floats(0.02, 0.24), st.floats(-3.14, 3.14)
+).map(np.array)
+arms = st.sampled_from([CLASSIC_400006, CLASSIC_420006])
+
+
+@given(joints_within, arms)
+def test_inverse_undoes_forward(joints: FloatArray, arm: Manipulator) -> None:
+    pose = arm.forward(joints)
+    assert arm.within_limits(joints)
+    np.testing.assert_allclose(arm.inverse(pose), joints, atol=1e-12)
+    np.testing.assert_allclose(arm.reach(pose[:3, 3]), joints[:3], atol=1e-12)
+    # The shaft passes through the remote centre.
+    np.testing.assert_allclose(np.cross(pose[:3, 3], pose[:3, 2]), 0.0, atol=1e-15)
+    assert np.linalg.norm(pose[:3, 3]) == pytest.approx(float(arm.depth_m(joints[2])))
+
+
+@given(joints_within, arms)
+def test_jacobian_is_the_derivative_of_forward(joints: FloatArray, arm: Manipulator) -> None:
+    step = 1e-6
+    ahead, behind = arm.forward(joints + step * np.eye(4)), arm.forward(joints - step * np.eye(4))
+    velocity = (ahead[:, :3, 3] - behind[:, :3, 3]) / (2 * step)
+    spin = (ahead[:, :3, :3] - behind[:, :3, :3]) / (2 * step) @ arm.forward(joints)[:3, :3].T
+    turning = np.stack([spin[:, 2, 1], spin[:, 0, 2], spin[:, 1, 0]], axis=1)
+    np.testing.assert_allclose(arm.jacobian(joints), np.hstack([velocity, turning]).T, atol=1e-8)
+
+
+def test_stacks_of_joints_and_limits() -> None:
+    joints = np.array([[0.1, -0.2, 0.15, 0.3], [1.6, 0.0, 0.1, 0.0], [0.0, 0.0, 0.25, 0.0]])
+    assert CLASSIC_400006.within_limits(joints).tolist() == [True, False, False]
+    many = CLASSIC_400006.forward(joints[:, None])
+    assert many.shape == (3, 1, 4, 4)
+    np.testing.assert_array_equal(many[1, 0], CLASSIC_400006.forward(joints[1]))
+    # The shorter instrument of the Classic arm does not reach below the remote centre when drawn out.
+    assert CLASSIC_400006.depth_m(0.0) == pytest.approx(-0.0156)
+    drawn_out = np.array([0.3, 0.2, 0.0, 1.0])
+    np.testing.assert_allclose(CLASSIC_400006.inverse(CLASSIC_400006.forward(drawn_out)), drawn_out, atol=1e-12)
