@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import json
+import re
 from importlib import resources
 from pathlib import Path
 from types import UnionType
@@ -34,6 +35,11 @@ class _UniqueKeyLoader(yaml.SafeLoader):
         mapping: dict[Any, Any] = super().construct_mapping(node, deep)
         return mapping
 
+
+# As in YAML 1.2: PyYAML, which follows 1.1, takes 1e-4 for a text.
+_UniqueKeyLoader.add_implicit_resolver(
+    "tag:yaml.org,2002:float", re.compile(r"[-+]?[0-9]+(\.[0-9]*)?[eE][-+]?[0-9]+$"), list("-+0123456789")
+)
 
 SUFFIXES = (".yaml", ".yml")
 
@@ -83,6 +89,18 @@ def read_yaml(path: Path, what: str) -> dict[str, Any]:
     if not isinstance(content, dict):
         raise ConfigError(f"{path}: a {what} file must be a mapping of keys")
     return content
+
+
+def parse_value(text: str) -> Any:
+    """A value as it would stand in a YAML file.
+
+    Raises:
+        ValueError: It is none.
+    """
+    try:
+        return yaml.load(text, Loader=_UniqueKeyLoader)
+    except yaml.YAMLError as error:
+        raise ValueError(str(error)) from None
 
 
 def parse_model(model: type[Model], content: Any, source: str) -> Model:

@@ -62,6 +62,16 @@ def test_truth_is_the_start_and_scores_perfectly_in_the_first_frame(dataset: Pat
         assert record["errors"]["mask_error_true"][0] < 1e-3
 
 
+def test_the_particle_filter_runs_with_kinematics_and_says_so_without(dataset: Path, tmp_path: Path) -> None:
+    asked = ("run", "--dataset", dataset, "--tracker", "particle-filter", "--set", "particle-filter.particles=50")
+    surgbench(*asked, "--joints", "--out", tmp_path / "with")
+    assert [record["status"] for record in records(tmp_path / "with")] == ["ok", "ok"]
+    surgbench(*asked, "--out", tmp_path / "without", expect=1)
+    for record in records(tmp_path / "without"):
+        assert record["status"] == "failed"
+        assert record["error"].endswith("particle-filter needs kinematics: a dataset with them, and --joints")
+
+
 def test_observations_hold_no_truth(dataset: Path, tmp_path: Path) -> None:
     surgbench("run", "--dataset", dataset, "--tracker", f"{STRANGERS}:Peeking", "--out", tmp_path)
     assert all(record["status"] == "ok" for record in records(tmp_path))

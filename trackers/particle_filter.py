@@ -2,14 +2,17 @@
 
 The model is the published one; the released code (ucsdarclab/surgical_tool_tracking) differs from it by mistakes that
 are not repeated here. It never resamples (it compares N_eff, at least 1, with 0.5); particles whose shaft lines match
-badly gain weight (``exp(+C)``); and each frame is weighed with the joint readings of the one before. Three details
-are ours:
+badly gain weight (``exp(+C)``); and each frame is weighed with the joint readings of the one before. Ours besides:
 
-- The lumped error is kept as a small one, ``T(x) T_0`` with ``T_0`` from the first frame, so that angle-axis vectors
-  are added only where they nearly add; rotations are averaged as rotations.
+- The lumped error is kept as ``T(x) T_0`` with ``T_0`` from the first frame, so that angle-axis vectors are added only
+  where they nearly add; rotations are averaged as rotations.
+- A pair beyond the threshold counts as missing before, not after, the features are associated.
 - rho and theta of lines are compared without the jumps where rho changes sign or theta wraps, and rho is measured
   from the middle of the expected shaft: from a corner of the image it is mostly theta times the distance.
-- Where more than one camera sees the tool their likelihoods are multiplied, as published; any number will do.
+- Steps of the lumped error are those of the random walk alone: the share of 1 % of the base joints' motion, in a branch
+  of the released code, needs readings of those joints.
+
+A frame's likelihood is the product over cameras, as published, and over tips and shaft.
 """
 
 from __future__ import annotations

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-import yaml
-
-from surgbench.config import locate, parse_model, read_yaml
+from surgbench.config import locate, parse_model, parse_value, read_yaml
 from surgbench.errors import ConfigError
 from surgbench.suite.plan import Suite
 
@@ -64,8 +62,8 @@ def parse_sets(sets: list[str]) -> dict[str, dict[str, Any]]:
         if not equals or not path or not all([name, *path]):
             raise ConfigError(f"--set {text}: must be NAME.option=value, for example cmaes.iterations=5")
         try:
-            parsed = yaml.safe_load(value)
-        except yaml.YAMLError:
+            parsed = parse_value(value)
+        except ValueError:
             raise ConfigError(f"--set {text}: '{value}' is not a value") from None
         here = options.setdefault(name, {})
         for part in path[:-1]:
