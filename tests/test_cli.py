@@ -10,6 +10,7 @@ from typer.testing import CliRunner
 
 import surgbench
 from surgbench.cli import app
+from surgbench.suite.suites import parse_sets
 
 COMMANDS = [
     ("generate",),
@@ -74,3 +75,9 @@ def test_wrong_command_offers_the_nearest() -> None:
     assert done.returncode == 2
     assert "Did you mean 'run'?" in done.stderr
     assert done.stderr.count("\n") == 1
+
+
+def test_numbers_of_the_command_line_are_those_of_yaml_1_2() -> None:
+    """1e-4 is a number, as everyone expects, and not a text, as YAML 1.1 has it."""
+    options = parse_sets(["a.b=1e-4", "a.c=-2.5E+3", "a.d=[1e-3, 2]", "a.e=none", "a.f=e4"])
+    assert options == {"a": {"b": 1e-4, "c": -2500.0, "d": [1e-3, 2], "e": "none", "f": "e4"}}
