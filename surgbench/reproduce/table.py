@@ -47,6 +47,13 @@ class DatasetRequest(_Part):
         return "-".join([Path(self.preset).stem, *(f"{key}-{value}" for key, value in over.items())])
 
 
+class Timing(_Part):
+    """What latencies are measured on, one run at a time, whatever the number of jobs was."""
+
+    runs: Count
+    frames: Count
+
+
 class TableRow(Row):
     """A row of a suite with its place in a table. It needs a ``row_id``.
 
@@ -54,12 +61,14 @@ class TableRow(Row):
         label: What it is called in the table.
         published: Its row among the published figures.
         floor: Row id of the floor it is held against.
+        timing: What its latencies are measured on, where that differs from the table's: for what is very slow.
         quick_options: Options put over ``options`` in a quick run, for what is slow however few the frames are.
     """
 
     label: str
     published: str | None = None
     floor: str | None = None
+    timing: Timing | None = None
     quick_options: dict[str, dict[str, Any]] = Field(default={})
 
     @property
@@ -107,13 +116,6 @@ class Share(_Part):
         runs: Arms or pairs a row is run on, spread over the block's ``quick_sequences``.
         frames: Of each, the first so many.
     """
-
-    runs: Count
-    frames: Count
-
-
-class Timing(_Part):
-    """What latencies are measured on, one run at a time, whatever the number of jobs was."""
 
     runs: Count
     frames: Count

@@ -9,7 +9,7 @@ from typing import Any
 from surgbench.dataset.reader import Dataset
 from surgbench.report.records import SKIPPED
 from surgbench.reproduce.datasets import MakeDataset, PartRequest, Watcher, provide
-from surgbench.reproduce.table import Block, Definition, Table, TableRow
+from surgbench.reproduce.table import Block, Definition, Table, TableRow, Timing
 from surgbench.suite.plan import Job, Row, complete
 from surgbench.suite.plan import jobs as plan_jobs
 from surgbench.suite.run import make_plan, probe_output
@@ -59,14 +59,14 @@ def plan_block(table: Table, block: Block, dataset: Dataset, quick: bool) -> Blo
         settings = complete(asked, block.protocol, dataset)
         timing: list[Job] = []
         if not quick:
-            timing = plan_jobs(complete(_timed(asked, table), block.protocol, dataset), dataset)
+            timing = plan_jobs(complete(_timed(asked, row.timing or table.timing), block.protocol, dataset), dataset)
         works.append(RowWork(row, settings.hash, tuple(plan_jobs(settings, dataset)), tuple(timing)))
     return BlockWork(block, dataset, tuple(works))
 
 
-def _timed(asked: Row, table: Table) -> Row:
-    runs = min(asked.sequences or table.timing.runs, table.timing.runs)
-    frames = min(asked.frames or table.timing.frames, table.timing.frames)
+def _timed(asked: Row, timing: Timing) -> Row:
+    runs = min(asked.sequences or timing.runs, timing.runs)
+    frames = min(asked.frames or timing.frames, timing.frames)
     return asked.model_copy(update={"sequences": runs, "frames": frames})
 
 
