@@ -244,12 +244,14 @@ def test_readings_have_bias_drift_and_noise() -> None:
 
 
 def test_every_preset_loads() -> None:
-    assert packaged_names("presets") == ["mini", "mismatch", "paper", "paper-rcm"]
+    assert packaged_names("presets") == ["agile", "mini", "mismatch", "paper", "paper-rcm"]
     mini, paper = load_preset("mini"), load_preset("paper")
     assert (mini.pairs, mini.frames) == (1, 60)
     assert (paper.pairs, paper.frames) == (16, 1000)
     assert [entry.speed for entry in plan_dataset(paper).sequences] == ["nominal"] * 8 + ["fast"] * 8
     assert [entry.speed for entry in plan_dataset(mini).sequences] == ["nominal"]
+    agile = load_preset("agile")
+    assert (agile.pairs, agile.frames) == (4, 500)
     for name, frames in (("paper-rcm", 500), ("mismatch", 300)):
         preset = load_preset(name)
         assert (preset.pairs, preset.frames, preset.motion.kind) == (4, frames, "rcm")
