@@ -87,7 +87,9 @@ def _dataset(block: Block, dataset: dict[str, Any]) -> str:
         f"{speed} sequences, an arm moves {1000 * values['translation_m']:.2f} mm, {values['rotation_rad']:.4f} rad "
         f"and {values['joints_rad']:.4f} rad per joint a frame in the mean, and its masks differ from the "
         f"true ones by {values['mask_error']:.4f} (1 − IoU)"
-        for speed, values in dataset["difficulty"].items()
+        for speed, values in sorted(
+            dataset["difficulty"].items(), reverse=True
+        )  # nominal first, also as read from a file
     ]
     pairs = f"{dataset['sequences']} {'pair' if dataset['sequences'] == 1 else 'pairs'} of arms"
     return (
