@@ -1,4 +1,9 @@
-"""Find the first state by Bayesian optimisation: TuRBO over pose and joints, as Hu et al. 2026 do."""
+"""Find the first state by Bayesian optimisation: TuRBO over pose and joints, as Hu et al. 2026 do.
+
+Seven coordinates are searched (four with readings): distance, tilt, both rolls, and the joints. Where the wrist is in
+the image is no coordinate: each hypothesis is placed over the mask, and its pose refined a little, joints fixed, before
+its loss counts. Of a state and its 180-degree twin only the one with a negative wrist pitch is searched.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +12,6 @@ from importlib.util import find_spec
 from typing import Annotated, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from surgbench.contract import Observation, Plugin, Scene
@@ -19,6 +23,7 @@ from surgbench.trackers.initialisers.hypotheses import DISTANCE_M, ELEVATION_DEG
 from surgbench.trackers.initialisers.refinement import WIDE, Count, RefinementConfig, Scorer, finish
 from surgbench.trackers.optimisers.cma import CMA
 from surgbench.trackers.optimisers.cma_settings import published_settings
+from surgbench.trackers.optimisers.trust_region import largest_offset
 
 MODULES = ("torch", "gpytorch", "botorch")
 POSE = slice(0, 6)
@@ -38,7 +43,7 @@ class TurboInitialiser(Plugin):
     class Config(RefinementConfig):
         """Options."""
 
-        evaluations: Annotated[Count, Field(description="hypotheses that TuRBO asks for")] = 600
+        evaluations: Annotated[Count, Field(description="hypotheses that TuRBO asks for, in whole batches")] = 600
         batch: Annotated[Count, Field(description="hypotheses at a time, and before the first Gaussian process")] = 50
         places: Annotated[Count, Field(description="pixels of the mask that the wrist is tried at")] = 32
         local_generations: Annotated[Count, Field(description="of the refinement of each hypothesis' pose")] = 6
@@ -130,7 +135,8 @@ class _Settler:
         self._space = StateSpace(scene.limits[0], STATE_SCALE)
         limits = scene.limits[0]
         lower, upper = limits.lower_rad.copy(), limits.upper_rad.copy()
-        upper[0] = min(upper[0], 0.0)  # of a state and its 180-degree twin, one has a negative wrist pitch
+        if np.allclose(lower[:2], -upper[:2]):  # of a state and its 180-degree twin one has a negative wrist pitch
+            upper[0] = 0.0
         low = [config.distance_m[0], np.deg2rad(config.elevation_deg[0]), 0.0, 0.0]
         high = [config.distance_m[1], np.deg2rad(config.elevation_deg[1]), 2 * np.pi, 2 * np.pi]
         if observation.joints is None:
@@ -154,15 +160,11 @@ class _Settler:
         distance, elevation, roll_local, roll_camera, *joints = (self._low + points * (self._high - self._low)).T
         read = self._observation.joints
         q = np.stack(joints, axis=1) if read is None else np.tile(read, (len(points), 1))
-        places = len(self._places[0])
-
-        def at(u: NDArray[np.float64], v: NDArray[np.float64], times: int) -> FloatArray:
-            angles = (np.repeat(a, times) for a in (roll_camera, elevation, roll_local, distance))
-            states: FloatArray = hypothesis_states(self._camera, *angles, (u, v), np.repeat(q, times, axis=0))
-            return states
-
-        n = len(points)
-        tried = at(np.tile(self._places[0], n), np.tile(self._places[1], n), places).reshape(n, places, STATE_SIZE)
+        n, places = len(points), len(self._places[0])
+        wrist = tuple(np.tile(pixels, n) for pixels in self._places)
+        angles = (np.repeat(values, places) for values in (roll_camera, elevation, roll_local, distance))
+        states = hypothesis_states(self._camera, *angles, wrist, np.repeat(q, places, axis=0))
+        tried = states.reshape(n, places, STATE_SIZE)
         tips = self._observation.views[0].keypoints[0]
         if tips is not None:
             by_tips = self._over_tips(tried[:, 0].copy(), tips)
@@ -177,7 +179,8 @@ class _Settler:
         for _ in range(TIP_STEPS):
             tips = self._scene.instruments[0].tips_cam(states)
             off = tips_px.mean(axis=0) - self._camera.project(tips).mean(axis=-2)
-            states[:, POSITION.start : POSITION.start + 2] += off / focal * tips[..., 2].mean(axis=-1, keepdims=True)
+            step = off / focal * tips[..., 2].mean(axis=-1, keepdims=True)
+            states[:, POSITION.start : POSITION.start + 2] += np.nan_to_num(step)  # NaN: a tip behind the camera
         return states
 
     def _refine(self, states: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -207,9 +210,7 @@ def _apart(points: FloatArray, losses: FloatArray, keep: int) -> list[int]:
     periodic = PERIODIC[: points.shape[1]]
     chosen: list[int] = []
     for index in np.argsort(losses, kind="stable"):
-        away = np.abs(points[chosen] - points[index])
-        away = np.where(periodic, np.minimum(away, 1.0 - away), away)
-        if not chosen or np.max(away, axis=1).min() > APART:
+        if not chosen or largest_offset(points[chosen], points[index], periodic).min() > APART:
             chosen.append(int(index))
         if len(chosen) == keep:
             break
