@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import ClassVar, Protocol, runtime_checkable
+from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,6 +44,15 @@ class View:
     instance_masks: tuple[Mask, ...] | None = None
     keypoints: tuple[FloatArray | None, ...] = (None,)
     image: Callable[[], NDArray[np.uint8] | None] = no_image
+
+    def __getstate__(self) -> dict[str, Any]:
+        # As bits a mask fits the buffer of a pipe, so that it reaches a tracker's process in one go.
+        return {**self.__dict__, "mask": (self.mask.shape, np.packbits(self.mask))}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        shape, bits = state["mask"]
+        mask = np.unpackbits(bits, count=int(np.prod(shape))).reshape(shape).view(np.bool_)
+        self.__dict__.update({**state, "mask": mask})
 
 
 @dataclass(frozen=True)

@@ -41,7 +41,8 @@ def cylinder(length_m: float = 4.0) -> Instrument:
 
 
 def edges_of(state: FloatArray, camera: Camera, shaft: Shaft) -> tuple[FloatArray, FloatArray]:
-    return expected_edges(look_at_rotation(state[ANGLES]), state[POSITION], shaft, camera)
+    edges, span_px = expected_edges(look_at_rotation(state[ANGLES]), state[POSITION], shaft, camera)
+    return edges, span_px
 
 
 def offsets_px(lines: FloatArray, points_px: FloatArray) -> FloatArray:
@@ -167,7 +168,8 @@ def test_association_is_the_cheapest_one(costs: list[float], detected: int) -> N
     rows, columns = linear_sum_assignment(matrix)
     threshold = 6.0
     expected = np.exp(-matrix[rows, columns]).sum() + (2 - len(rows)) * np.exp(-threshold)
-    if np.isclose(*(matrix[[0, 1], order].sum() for order in ([0, -1], [-1, 0])), atol=1e-9) and detected == 2:
+    straight, crossed = (float(matrix[[0, 1], order].sum()) for order in ([0, -1], [-1, 0]))
+    if np.isclose(straight, crossed, atol=1e-9) and detected == 2:
         return  # both associations cost the same, and either will do
     assert association_likelihood(matrix[None], threshold)[0] == pytest.approx(expected, rel=1e-9)
 

@@ -88,11 +88,11 @@ class Comparison:
 
 
 def compare(block: Block, rows: Sequence[Row], published: Published) -> list[Comparison]:
-    """All rows of a block that have a published row, with the figures that both are about."""
+    """All rows of a block that have a published row and were run, with the figures that both are about."""
     found = {row["row_id"]: row for row in rows}
     comparisons = []
     for row in block.rows:
-        if row.published is None or row.id not in found:
+        if row.published is None or not found[row.id]["frames"]:
             continue
         ours, pairs = found[row.id], []
         for measure in PUBLISHED:

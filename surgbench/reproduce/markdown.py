@@ -8,7 +8,7 @@ from typing import Any
 from surgbench.report.rows import Row
 from surgbench.reproduce.compare import ABOVE_FLOOR, ALL, TIME, Comparison, Measure, compare
 from surgbench.reproduce.results import FIGURE_PNG, Results
-from surgbench.reproduce.table import Block, Definition
+from surgbench.reproduce.table import Block, Definition, Table
 
 QUICK_WARNING = "A quick run: a few frames of a few sequences, **not to be quoted**."
 READING = (
@@ -29,7 +29,7 @@ def markdown(definition: Definition, results: Results) -> str:
         parts.append(QUICK_WARNING)
     if table.note:
         parts.append(table.note.strip())
-    parts.append(_summary([one for comparisons in compared.values() for one in comparisons], published.short))
+    parts.append(_summary(table, compared, published.short))
     parts += [READING, _times(results.about, published.short, published.machine)]
     if results.about["figure"]:
         parts.append(f"![Ground truth and estimates over time]({FIGURE_PNG})")
@@ -39,6 +39,7 @@ def markdown(definition: Definition, results: Results) -> str:
         parts += [f"## {block.heading}", block.note.strip(), about_data, _block_table(rows), *_failures(rows)]
         if compared[block.name]:
             parts += [f"### Beside {published.short}", _comparison_table(compared[block.name])]
+            parts.append(_not_met(compared[block.name]))
         floors = _floor_table(block, results.rows)
         if floors:
             parts += ["### Above the floor", FLOOR_NOTE, floors]
@@ -50,17 +51,24 @@ FLOOR_NOTE = (
 )
 
 
-def _summary(comparisons: list[Comparison], source: str) -> str:
-    pairs = [(one.row.id, pair) for one in comparisons for pair in one.pairs]
-    if not pairs:
-        return ""
+def _summary(table: Table, compared: dict[str, list[Comparison]], source: str) -> str:
+    """How many of the published figures are reached, block by block; what was not run is no figure."""
+    counts = []
+    for block in table.blocks:
+        pairs = [pair for one in compared[block.name] for pair in one.pairs if pair.ours is not None]
+        if pairs:
+            counts.append(f"{block.heading}: {sum(pair.met for pair in pairs)} of {len(pairs)}")
+    return f"**Figures of {source} that are met or bettered: {'; '.join(counts)}.**" if counts else ""
+
+
+def _not_met(comparisons: list[Comparison]) -> str:
     worse = [
-        f"`{id_}` {pair.measure.name}" + ("" if pair.ratio is None else f" ({_ratio(pair.ratio)})")
-        for id_, pair in pairs
-        if not pair.met
+        f"`{one.row.id}` {pair.measure.name} ({_ratio(pair.ratio)})"
+        for one in comparisons
+        for pair in one.pairs
+        if pair.ratio is not None and not pair.met
     ]
-    words = f"Of {len(pairs)} figures of {source}, {len(pairs) - len(worse)} are met or bettered"
-    return f"**{words}.**" + (f" Not met: {', '.join(worse)}." if worse else "")
+    return f"Worse than published: {', '.join(worse) or 'nothing'}."
 
 
 def _times(about: dict[str, Any], source: str, machine: str) -> str:
@@ -76,13 +84,14 @@ def _times(about: dict[str, Any], source: str, machine: str) -> str:
 def _dataset(block: Block, dataset: dict[str, Any]) -> str:
     """What a reader needs to see whether a row is won by an easy dataset."""
     speeds = [
-        f"{speed} sequences {1000 * values['translation_m']:.2f} mm, {values['rotation_rad']:.4f} rad and "
-        f"{values['joints_rad']:.4f} rad per joint from frame to frame (means), and the masks differ from the true "
-        f"ones by {values['mask_error']:.4f} (1 − IoU)"
+        f"{speed} sequences, an arm moves {1000 * values['translation_m']:.2f} mm, {values['rotation_rad']:.4f} rad "
+        f"and {values['joints_rad']:.4f} rad per joint a frame in the mean, and its masks differ from the "
+        f"true ones by {values['mask_error']:.4f} (1 − IoU)"
         for speed, values in dataset["difficulty"].items()
     ]
+    pairs = f"{dataset['sequences']} {'pair' if dataset['sequences'] == 1 else 'pairs'} of arms"
     return (
-        f"Dataset `{block.dataset.folder}`: {dataset['sequences']} pairs of arms, {dataset['frames']} frames, SHA-256 "
+        f"Dataset `{block.dataset.folder}`: {pairs}, {dataset['frames']} frames, SHA-256 "
         f"`{dataset['sha256'][:12]}…`. In {'; in '.join(speeds)}."
     )
 
@@ -97,7 +106,7 @@ def _block_table(rows: Sequence[Row]) -> str:
         cells += [TIME.text(row[TIME.key]), TIME.text(row["latency_ms_p95"])]
         if partly:
             frames = row["frames"] / row["sequences"] / row["repeats"]
-            cells.append(f"{row['sequences']} × {frames:g}")
+            cells.append(f"{row['sequences']} × {frames:g}" if frames else row["status"])
         lines.append(cells)
     return _table(lines, text_columns=2)
 
@@ -117,7 +126,9 @@ def _comparison_table(comparisons: Sequence[Comparison]) -> str:
             ours.append("–" if pair is None else _with_error(measure, pair.ours, pair.sem))
             text = "–" if pair is None or pair.ratio is None else _ratio(pair.ratio)
             ratio.append(f"**{text}**" if pair is not None and pair.met else text)
-        lines += [[_escape(one.row.label), "published", *published], ["", "ours", *ours], ["", "ratio", *ratio]]
+        # A method of ours stands beside another method's figures.
+        whose = "published" if one.row.published == one.row.id else f"published, `{one.row.published}`"
+        lines += [[_escape(one.row.label), whose, *published], ["", "ours", *ours], ["", "ratio", *ratio]]
     return _table(lines, text_columns=2)
 
 

@@ -21,8 +21,12 @@ def print_table(definition: Definition, results: Results, console: Console) -> N
     console.print(Text(definition.table.title, style="bold"))
     for block in definition.table.blocks:
         console.print(Text(f"\n{block.heading}", style="bold"))
-        # The label says what the row is; the variant would say which options make it so.
-        rows = [{**row, "variant": row["label"]} for row in results.rows if row["block"] == block.name]
+        # The table's file says which options make a row what it is.
+        rows = [
+            {**row, "variant": "not for ranking" if row["floor"] else ""}
+            for row in results.rows
+            if row["block"] == block.name
+        ]
         print_leaderboard(rows, console)
         comparisons = compare(block, results.rows, definition.published)
         if comparisons:

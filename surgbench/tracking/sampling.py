@@ -81,4 +81,6 @@ class SamplingTracker(InstrumentTracker):
                 order = np.argsort(losses, kind="stable")
                 self.trace.states.append(states[order])
                 self.trace.losses.append(losses[order])
-        return Estimate(best_state, confidence=float(best_iou), lost=bool(best_iou < self._options.lost_iou))
+        # With an empty mask the best sample is one out of the picture, and two empty masks overlap perfectly.
+        lost = best_iou < self._options.lost_iou or not observation.mask.any()
+        return Estimate(best_state, confidence=float(best_iou), lost=bool(lost))
