@@ -17,20 +17,20 @@ from pydantic import Field
 from surgbench.contract import Observation, Plugin, Scene
 from surgbench.errors import ConfigError
 from surgbench.geometry import FloatArray
-from surgbench.state import POSITION, STATE_SCALE, STATE_SIZE, StateSpace
+from surgbench.metrics import rotation_error
+from surgbench.state import ANGLES, POSITION, STATE_SCALE, STATE_SIZE, StateSpace
 from surgbench.trackers.initialisers.arms import initialise_each_arm
 from surgbench.trackers.initialisers.hypotheses import DISTANCE_M, ELEVATION_DEG, hypothesis_states
 from surgbench.trackers.initialisers.refinement import WIDE, Count, RefinementConfig, Scorer, finish
 from surgbench.trackers.optimisers.cma import CMA
 from surgbench.trackers.optimisers.cma_settings import published_settings
-from surgbench.trackers.optimisers.trust_region import largest_offset
 
 MODULES = ("torch", "gpytorch", "botorch")
 POSE = slice(0, 6)
 # Coordinates of the search: distance, elevation, roll about the shaft, roll about the optical axis, then the joints.
 PERIODIC = np.array([False, False, True, True, False, False, False])
 TIP_STEPS = 3  # of the fixed point that places the tips
-APART = 0.1  # of a coordinate's range, between hypotheses that are refined
+APART_RAD = 0.3  # between the orientations of hypotheses that are refined
 
 
 class TurboInitialiser(Plugin):
@@ -103,16 +103,15 @@ class TurboInitialiser(Plugin):
         score = Scorer(scene, observation, config.loss, batches * config.batch * each + config.work, progress)
         settle = _Settler(scene, observation, config, score, rng)
         search = Turbo(PERIODIC[: settle.dimensions], config.batch, rng)
-        points, states, losses = [], [], []
+        states, losses = [], []
         for _ in range(batches):
             asked = search.ask()
             settled, values = settle(asked)
             search.tell(asked, np.log(np.maximum(values, 1.0)))
-            points.append(asked)
             states.append(settled)
             losses.append(values)
-        chosen = _apart(np.concatenate(points), np.concatenate(losses), config.refined)
-        found: FloatArray = finish(scene, observation, np.concatenate(states)[chosen], config, score, rng)
+        chosen = _apart(np.concatenate(states), np.concatenate(losses), config.refined)
+        found: FloatArray = finish(scene, observation, chosen, config, score, rng)
         return found
 
 
@@ -205,13 +204,19 @@ class _Settler:
         return best, least
 
 
-def _apart(points: FloatArray, losses: FloatArray, keep: int) -> list[int]:
-    """The best ``keep`` points of which no two are near each other in all coordinates."""
-    periodic = PERIODIC[: points.shape[1]]
-    chosen: list[int] = []
-    for index in np.argsort(losses, kind="stable"):
-        if not chosen or largest_offset(points[chosen], points[index], periodic).min() > APART:
-            chosen.append(int(index))
+def _apart(states: FloatArray, losses: FloatArray, keep: int) -> FloatArray:
+    """The best ``keep`` states whose orientations differ, for TuRBO ends with many of one basin, maybe the wrong one.
+
+    Args:
+        states: ``(n, 9)``.
+        losses: ``(n,)``.
+        keep: At most so many.
+    """
+    order = np.argsort(losses, kind="stable")
+    chosen = [int(order[0])]
+    for index in order[1:]:
         if len(chosen) == keep:
             break
-    return chosen
+        if rotation_error(states[chosen][:, ANGLES], states[index, ANGLES]).min() > APART_RAD:
+            chosen.append(int(index))
+    return states[chosen]
