@@ -1,4 +1,9 @@
-"""Find the first state by Bayesian optimisation: TuRBO over pose and joints, as Hu et al. 2026 do."""
+"""Find the first state by Bayesian optimisation: TuRBO over pose and joints, as Hu et al. 2026 do.
+
+Seven coordinates are searched (four with readings): distance, tilt, both rolls, and the joints. Where the wrist is in
+the image is no coordinate: each hypothesis is placed over the mask, and its pose refined a little, joints fixed, before
+its loss counts. Of a state and its 180-degree twin only the one with a negative wrist pitch is searched.
+"""
 
 from __future__ import annotations
 
@@ -7,13 +12,13 @@ from importlib.util import find_spec
 from typing import Annotated, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from surgbench.contract import Observation, Plugin, Scene
 from surgbench.errors import ConfigError
 from surgbench.geometry import FloatArray
-from surgbench.state import POSITION, STATE_SCALE, STATE_SIZE, StateSpace
+from surgbench.metrics import rotation_error
+from surgbench.state import ANGLES, POSITION, STATE_SCALE, STATE_SIZE, StateSpace
 from surgbench.trackers.initialisers.arms import initialise_each_arm
 from surgbench.trackers.initialisers.hypotheses import DISTANCE_M, ELEVATION_DEG, hypothesis_states
 from surgbench.trackers.initialisers.refinement import WIDE, Count, RefinementConfig, Scorer, finish
@@ -25,7 +30,7 @@ POSE = slice(0, 6)
 # Coordinates of the search: distance, elevation, roll about the shaft, roll about the optical axis, then the joints.
 PERIODIC = np.array([False, False, True, True, False, False, False])
 TIP_STEPS = 3  # of the fixed point that places the tips
-APART = 0.1  # of a coordinate's range, between hypotheses that are refined
+APART_RAD = 0.3  # between the orientations of hypotheses that are refined
 
 
 class TurboInitialiser(Plugin):
@@ -38,7 +43,7 @@ class TurboInitialiser(Plugin):
     class Config(RefinementConfig):
         """Options."""
 
-        evaluations: Annotated[Count, Field(description="hypotheses that TuRBO asks for")] = 600
+        evaluations: Annotated[Count, Field(description="hypotheses that TuRBO asks for, in whole batches")] = 600
         batch: Annotated[Count, Field(description="hypotheses at a time, and before the first Gaussian process")] = 50
         places: Annotated[Count, Field(description="pixels of the mask that the wrist is tried at")] = 32
         local_generations: Annotated[Count, Field(description="of the refinement of each hypothesis' pose")] = 6
@@ -98,16 +103,15 @@ class TurboInitialiser(Plugin):
         score = Scorer(scene, observation, config.loss, batches * config.batch * each + config.work, progress)
         settle = _Settler(scene, observation, config, score, rng)
         search = Turbo(PERIODIC[: settle.dimensions], config.batch, rng)
-        points, states, losses = [], [], []
+        states, losses = [], []
         for _ in range(batches):
             asked = search.ask()
             settled, values = settle(asked)
             search.tell(asked, np.log(np.maximum(values, 1.0)))
-            points.append(asked)
             states.append(settled)
             losses.append(values)
-        chosen = _apart(np.concatenate(points), np.concatenate(losses), config.refined)
-        found: FloatArray = finish(scene, observation, np.concatenate(states)[chosen], config, score, rng)
+        chosen = _apart(np.concatenate(states), np.concatenate(losses), config.refined)
+        found: FloatArray = finish(scene, observation, chosen, config, score, rng)
         return found
 
 
@@ -130,7 +134,8 @@ class _Settler:
         self._space = StateSpace(scene.limits[0], STATE_SCALE)
         limits = scene.limits[0]
         lower, upper = limits.lower_rad.copy(), limits.upper_rad.copy()
-        upper[0] = min(upper[0], 0.0)  # of a state and its 180-degree twin, one has a negative wrist pitch
+        if np.allclose(lower[:2], -upper[:2]):  # of a state and its 180-degree twin one has a negative wrist pitch
+            upper[0] = 0.0
         low = [config.distance_m[0], np.deg2rad(config.elevation_deg[0]), 0.0, 0.0]
         high = [config.distance_m[1], np.deg2rad(config.elevation_deg[1]), 2 * np.pi, 2 * np.pi]
         if observation.joints is None:
@@ -154,15 +159,11 @@ class _Settler:
         distance, elevation, roll_local, roll_camera, *joints = (self._low + points * (self._high - self._low)).T
         read = self._observation.joints
         q = np.stack(joints, axis=1) if read is None else np.tile(read, (len(points), 1))
-        places = len(self._places[0])
-
-        def at(u: NDArray[np.float64], v: NDArray[np.float64], times: int) -> FloatArray:
-            angles = (np.repeat(a, times) for a in (roll_camera, elevation, roll_local, distance))
-            states: FloatArray = hypothesis_states(self._camera, *angles, (u, v), np.repeat(q, times, axis=0))
-            return states
-
-        n = len(points)
-        tried = at(np.tile(self._places[0], n), np.tile(self._places[1], n), places).reshape(n, places, STATE_SIZE)
+        n, places = len(points), len(self._places[0])
+        wrist = tuple(np.tile(pixels, n) for pixels in self._places)
+        angles = (np.repeat(values, places) for values in (roll_camera, elevation, roll_local, distance))
+        states = hypothesis_states(self._camera, *angles, wrist, np.repeat(q, places, axis=0))
+        tried = states.reshape(n, places, STATE_SIZE)
         tips = self._observation.views[0].keypoints[0]
         if tips is not None:
             by_tips = self._over_tips(tried[:, 0].copy(), tips)
@@ -177,7 +178,8 @@ class _Settler:
         for _ in range(TIP_STEPS):
             tips = self._scene.instruments[0].tips_cam(states)
             off = tips_px.mean(axis=0) - self._camera.project(tips).mean(axis=-2)
-            states[:, POSITION.start : POSITION.start + 2] += off / focal * tips[..., 2].mean(axis=-1, keepdims=True)
+            step = off / focal * tips[..., 2].mean(axis=-1, keepdims=True)
+            states[:, POSITION.start : POSITION.start + 2] += np.nan_to_num(step)  # NaN: a tip behind the camera
         return states
 
     def _refine(self, states: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -202,15 +204,19 @@ class _Settler:
         return best, least
 
 
-def _apart(points: FloatArray, losses: FloatArray, keep: int) -> list[int]:
-    """The best ``keep`` points of which no two are near each other in all coordinates."""
-    periodic = PERIODIC[: points.shape[1]]
-    chosen: list[int] = []
-    for index in np.argsort(losses, kind="stable"):
-        away = np.abs(points[chosen] - points[index])
-        away = np.where(periodic, np.minimum(away, 1.0 - away), away)
-        if not chosen or np.max(away, axis=1).min() > APART:
-            chosen.append(int(index))
+def _apart(states: FloatArray, losses: FloatArray, keep: int) -> FloatArray:
+    """The best ``keep`` states whose orientations differ, for TuRBO ends with many of one basin, maybe the wrong one.
+
+    Args:
+        states: ``(n, 9)``.
+        losses: ``(n,)``.
+        keep: At most so many.
+    """
+    order = np.argsort(losses, kind="stable")
+    chosen = [int(order[0])]
+    for index in order[1:]:
         if len(chosen) == keep:
             break
-    return chosen
+        if rotation_error(states[chosen][:, ANGLES], states[index, ANGLES]).min() > APART_RAD:
+            chosen.append(int(index))
+    return states[chosen]

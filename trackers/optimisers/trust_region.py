@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from surgbench.geometry import FloatArray
 
@@ -17,6 +18,19 @@ LEAST_LENGTH = 0.5**7
 LARGEST_LENGTH = 1.6
 SUCCESSES = 3  # in a row, until the box doubles
 IMPROVEMENT = 1e-3  # relative to the best value, that makes a success
+
+
+def largest_offset(points: FloatArray, point: FloatArray, periodic: NDArray[np.bool_]) -> FloatArray:
+    """How far points of the unit cube are from one of them: ``(n,)`` largest offset of a coordinate.
+
+    Args:
+        points: ``(n, d)``.
+        point: ``(d,)``.
+        periodic: ``(d,)`` which coordinates have a period of 1.
+    """
+    away = np.abs(points - point)
+    away = np.where(periodic, np.minimum(away, 1.0 - away), away)
+    return np.asarray(np.max(away, axis=1))
 
 
 class TrustRegion:

@@ -13,7 +13,7 @@ from scipy.stats import qmc
 
 from surgbench.geometry import FloatArray
 from surgbench.trackers.optimisers.gaussian_process import GaussianProcess, one_thread
-from surgbench.trackers.optimisers.trust_region import TrustRegion
+from surgbench.trackers.optimisers.trust_region import TrustRegion, largest_offset
 
 PERTURBED = 20  # coordinates of a candidate that differ from the best point's, on average, at most
 MODELLED = 200  # points nearest to the best that the Gaussian process is made of: its time grows with their cube
@@ -78,9 +78,8 @@ class Turbo:
 
     def _near_best(self) -> NDArray[np.intp]:
         """Which points the model is made of."""
-        away = np.abs(self._points - self._points[int(np.argmin(self._values))])
-        away = np.where(self._periodic, np.minimum(away, 1.0 - away), away)
-        return np.argsort(np.max(away, axis=1), kind="stable")[:MODELLED]
+        away = largest_offset(self._points, self._points[int(np.argmin(self._values))], self._periodic)
+        return np.argsort(away, kind="stable")[:MODELLED]
 
     def _candidates(self, lengths: FloatArray) -> FloatArray:
         """Sobol points of the trust region: longer where the function changes slowly."""
@@ -88,7 +87,8 @@ class Turbo:
         centre = self._points[int(np.argmin(self._values))]
         side = self.region.length * lengths / np.exp(np.mean(np.log(lengths)))
         side = np.where(self._periodic, np.minimum(side, 1.0), side)
-        count = 1 << (min(100 * d, 5000) - 1).bit_length()  # Sobol points come in powers of two
+        wanted = max(min(100 * d, 5000), 2 * self._batch)
+        count = 1 << (wanted - 1).bit_length()  # Sobol points come in powers of two
         spread = qmc.Sobol(d, rng=self._rng).random(count)
         lower, upper = centre - side / 2, centre + side / 2
         lower = np.where(self._periodic, lower, np.maximum(lower, 0.0))
