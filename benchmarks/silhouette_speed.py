@@ -24,7 +24,7 @@ from surgbench.instrument import Instrument
 from surgbench.instrument.shapes import join_meshes, loft_mesh
 from surgbench.instrument.spec import Loft
 from surgbench.silhouette import Reference, SilhouetteEvaluator
-from surgbench.silhouette.compiled import compiled
+from surgbench.compiled import compiled
 from surgbench.silhouette.contour import place_links, trace
 from surgbench.silhouette.spans import cover, total
 

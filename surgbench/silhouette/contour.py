@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surgbench.geometry import FloatArray
-from surgbench.silhouette.compiled import compiled
+from surgbench.compiled import compiled
 from surgbench.silhouette.layout import Bodies, Indices, Links, Mesh, Starts
 
 # States with larger components cover nothing.

@@ -13,7 +13,7 @@ from surgbench.silhouette.boundary import (
     pull_back,
     sum_wrenches,
 )
-from surgbench.silhouette.compiled import compiled
+from surgbench.compiled import compiled
 from surgbench.silhouette.contour import trace
 from surgbench.silhouette.spans import cover, total
 

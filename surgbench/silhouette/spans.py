@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surgbench.geometry import FloatArray
-from surgbench.silhouette.compiled import compiled
+from surgbench.compiled import compiled
 from surgbench.silhouette.layout import Bodies, Indices, Mesh
 
 # A packed span sorts by its first column.
