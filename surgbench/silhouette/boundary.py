@@ -18,8 +18,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surgbench.geometry import FloatArray
 from surgbench.compiled import compiled
+from surgbench.geometry import FloatArray
 from surgbench.silhouette.contour import edge_ends
 from surgbench.silhouette.layout import Bodies, Indices, Lens, Links, Mesh
 from surgbench.silhouette.spans import Rows, cover, crossing, rows_scratch

@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surgbench.geometry import FloatArray
 from surgbench.compiled import compiled
+from surgbench.geometry import FloatArray
 from surgbench.silhouette.layout import Bodies, Indices, Links, Mesh, Starts
 
 # States with larger components cover nothing.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from surgbench.compiled import compiled
 from surgbench.silhouette import spans
 from surgbench.silhouette.boundary import (
     find_boundary,
@@ -13,7 +14,6 @@ from surgbench.silhouette.boundary import (
     pull_back,
     sum_wrenches,
 )
-from surgbench.compiled import compiled
 from surgbench.silhouette.contour import trace
 from surgbench.silhouette.spans import cover, total
 

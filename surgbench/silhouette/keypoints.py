@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from surgbench.camera import NEAR_M, Camera
+from surgbench.compiled import compiled
 from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument
 from surgbench.silhouette.boundary import map_links, pull_back, push
-from surgbench.compiled import compiled
 from surgbench.silhouette.contour import place_links
 from surgbench.silhouette.layout import assemble_links, lens
 from surgbench.state import STATE_SIZE

@@ -20,8 +20,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surgbench.geometry import FloatArray
 from surgbench.compiled import compiled
+from surgbench.geometry import FloatArray
 from surgbench.silhouette.layout import Bodies, Indices, Mesh
 
 # A packed span sorts by its first column.

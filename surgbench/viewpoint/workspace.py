@@ -72,7 +72,7 @@ class NoGoZone:
 
     @cached_property
     def faces(self) -> FloatArray:
-        """``(n, 4)`` inward unit normal and offset of base, top and sides: ``n . p - offset`` is the depth behind it."""
+        """``(n, 4)`` inward unit normal and offset of base, top, sides: ``n . p - offset`` is the depth behind it."""
         base = self.points[:4]
         rows = [np.append(self.up, self.up @ base[0]), np.append(-self.up, -self.up @ (base[0] + self.height))]
         for k in range(3 if self.missing_face else 4):
