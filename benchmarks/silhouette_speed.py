@@ -19,12 +19,12 @@ from scipy.interpolate import PchipInterpolator
 
 from surgbench.bench.workload import silhouette_workload
 from surgbench.camera import Camera
+from surgbench.compiled import compiled
 from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument
 from surgbench.instrument.shapes import join_meshes, loft_mesh
 from surgbench.instrument.spec import Loft
 from surgbench.silhouette import Reference, SilhouetteEvaluator
-from surgbench.compiled import compiled
 from surgbench.silhouette.contour import place_links, trace
 from surgbench.silhouette.spans import cover, total
 
