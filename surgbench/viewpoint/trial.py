@@ -55,4 +55,4 @@ class Trial:
     @property
     def measured(self) -> NDArray[np.bool_]:
         """``(T,)`` whether the feature was measured."""
-        return np.isfinite(self.T_world_feature).all(axis=(1, 2))
+        return np.asarray(np.isfinite(self.T_world_feature).all(axis=(1, 2)))
