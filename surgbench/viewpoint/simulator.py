@@ -1,0 +1,232 @@
+"""Closes the loop between a controller and the simulated arm over one trial.
+
+Per step: the feature and the arm are measured, the controller answers, the arm is told, and moves for one period.
+Where the feature is not measured the controller is not asked, and the arm comes to rest. Commands outside the joints'
+limits are clipped to them, as the robot does, and counted.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surgbench.errors import SurgbenchError
+from surgbench.geometry import FloatArray, inverse_transform, is_rigid
+from surgbench.viewpoint.camera_arm import CameraArm
+from surgbench.viewpoint.contract import ViewCommand, ViewpointObservation, ViewpointScene
+from surgbench.viewpoint.execution import JointServo
+from surgbench.viewpoint.placement import CONSTRAINTS, DISTANCE_M
+from surgbench.viewpoint.registration import Method, register
+from surgbench.viewpoint.trial import Trial
+from surgbench.viewpoint.workspace import NoGoZone, Workspace
+
+SERVO_LAG_S = 0.015
+# A commanded pose may be this far from a rigid transform.
+RIGID_TOLERANCE = 1e-4
+REPORT_EVERY = 200
+
+
+class InvalidCommandError(Exception):
+    """A controller returned something that is no command; one line that says what."""
+
+
+class Controller(Protocol):
+    """What the simulator asks of a controller (:class:`surgbench.viewpoint.contract.ViewpointTracker`)."""
+
+    def reset(self, scene: ViewpointScene, joints: FloatArray, rng: np.random.Generator) -> None:
+        """Start a trial."""
+        ...
+
+    def step(self, observation: ViewpointObservation) -> Any:
+        """Answer an observation."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """How a trial went; T steps.
+
+    Attributes:
+        joints: ``(T + 1, 6)`` of the camera arm, before each step and after the last.
+        setpoints: ``(T + 1, 6)`` what they were told, limits of velocity and acceleration obeyed.
+        goals: ``(T, 6)`` the controller's commands, within the limits; where it was not asked, the set point.
+        clipped: ``(T,)`` whether a command lay outside the limits.
+        asked: ``(T,)`` whether the controller was asked.
+        active: ``(T, 5)`` the rules active in the controller's own view, in the order of
+            :data:`surgbench.viewpoint.placement.CONSTRAINTS`.
+        solver: ``(T,)`` whether it optimised.
+        latency_ms: ``(T,)`` what a step took; NaN where it was not asked.
+    """
+
+    joints: FloatArray
+    setpoints: FloatArray
+    goals: FloatArray
+    clipped: NDArray[np.bool_]
+    asked: NDArray[np.bool_]
+    active: NDArray[np.bool_]
+    solver: NDArray[np.bool_]
+    latency_ms: FloatArray
+
+
+def make_scene(
+    trial: Trial,
+    *,
+    registration: Method = "translation",
+    missing_face: bool = False,
+    servo_lag_s: float = SERVO_LAG_S,
+    distance_m: float = DISTANCE_M,
+) -> ViewpointScene:
+    """What a controller is told of a trial.
+
+    Args:
+        trial: The trial.
+        registration: How its touched points correct the camera arm's base.
+        missing_face: The no-go zone as in the published code, which never tests one of its sides.
+        servo_lag_s: Time constant of the joints.
+        distance_m: d_t.
+
+    Raises:
+        WorkspaceError: The no-go zone's points span no box.
+        RegistrationError: The touched points register nothing.
+        SurgbenchError: The camera arm starts outside its limits.
+    """
+    arm = CameraArm()
+    workspace = Workspace(NoGoZone(trial.zone_m, missing_face))
+    base = register(trial.T_world_base, trial.touches, registration)
+    if not (np.isfinite(trial.start).all() and arm.within_limits(trial.start, 1e-9)):
+        raise SurgbenchError(f"trial '{trial.id}': the camera arm starts outside its joint limits")
+    return ViewpointScene(arm, base, workspace, distance_m, trial.dt_s, servo_lag_s)
+
+
+def simulate(
+    controller: Controller,
+    trial: Trial,
+    scene: ViewpointScene,
+    rng: np.random.Generator,
+    steps: int | None = None,
+    progress: Callable[[int], None] = lambda _: None,
+) -> Course:
+    """Run a controller over a trial.
+
+    Args:
+        controller: Is reset here.
+        trial: What happens.
+        scene: From :func:`make_scene`.
+        rng: The controller's.
+        steps: Only so many; all of the trial's unless told.
+        progress: Called with the steps done since the last call, now and then.
+
+    Raises:
+        InvalidCommandError: An answer is no command.
+    """
+    count = len(trial.timestamps_s) if steps is None else min(steps, len(trial.timestamps_s))
+    servo = JointServo(scene.arm, trial.start, scene.dt_s, scene.servo_lag_s)
+    joints, setpoints, goals = np.empty((count + 1, 6)), np.empty((count + 1, 6)), np.empty((count, 6))
+    clipped, solver = np.zeros(count, dtype=bool), np.zeros(count, dtype=bool)
+    active = np.zeros((count, len(CONSTRAINTS)), dtype=bool)
+    latency_ms = np.full(count, np.nan)
+    measured = trial.measured[:count]
+    receive = Receiver(scene)
+    joints[0], setpoints[0] = servo.joints, servo.setpoint
+    controller.reset(scene, servo.joints.copy(), rng)
+    for index in range(count):
+        if measured[index]:
+            observation = ViewpointObservation(
+                index,
+                float(trial.timestamps_s[index]),
+                trial.T_world_feature[index].copy(),
+                servo.joints.copy(),
+                servo.setpoint.copy(),
+                servo.velocity.copy(),
+            )
+            begin = time.perf_counter()
+            answer = controller.step(observation)
+            latency_ms[index] = 1e3 * (time.perf_counter() - begin)
+            command = receive(answer, servo.joints)
+            goals[index], clipped[index], solver[index] = command.goal, command.clipped, command.solver
+            for name in command.active:
+                active[index, CONSTRAINTS.index(name)] = True
+            if command.velocity is None:
+                servo.move(command.goal)
+            else:
+                servo.servo(command.goal, command.velocity)
+        else:
+            goals[index] = servo.setpoint
+            servo.hold()
+        joints[index + 1], setpoints[index + 1] = servo.joints, servo.setpoint
+        if (index + 1) % REPORT_EVERY == 0:
+            progress(REPORT_EVERY)
+    progress(count % REPORT_EVERY)
+    return Course(joints, setpoints, goals, clipped, measured, active, solver, latency_ms)
+
+
+@dataclass(frozen=True, eq=False)
+class Received:
+    """A command as the arm takes it: joints within the limits; with a velocity where it is to be followed at once."""
+
+    goal: FloatArray
+    velocity: FloatArray | None
+    clipped: bool
+    active: tuple[str, ...]
+    solver: bool
+
+
+class Receiver:
+    """Checks answers, and turns poses into joints as the robot does (``move_cp``: from the measured joints, clipped).
+
+    Args:
+        scene: The trial's constants.
+    """
+
+    def __init__(self, scene: ViewpointScene) -> None:
+        self._arm = scene.arm
+        self._T_base_world = inverse_transform(scene.T_world_base)
+
+    def __call__(self, answer: Any, joints: FloatArray) -> Received:
+        """Take an answer in.
+
+        Args:
+            answer: What ``step`` returned.
+            joints: ``(6,)`` measured.
+
+        Raises:
+            InvalidCommandError: It is no command.
+        """
+        command = answer if isinstance(answer, ViewCommand) else ViewCommand(answer)
+        target = _numbers(command.target, "a command")
+        if target.shape == (4, 4):
+            if not is_rigid(target, RIGID_TOLERANCE):
+                raise InvalidCommandError("the controller returned a pose that is no rotation and translation")
+            target = self._arm.inverse(self._T_base_world @ target, joints)
+        elif target.shape != (6,):
+            raise InvalidCommandError(f"the controller returned shape {target.shape}, not (6,) joints or a (4, 4) pose")
+        if command.mode not in ("move", "servo"):
+            raise InvalidCommandError(f"the controller returned mode {command.mode!r}, not 'move' or 'servo'")
+        unknown = [name for name in command.active if name not in CONSTRAINTS]
+        if unknown:
+            raise InvalidCommandError(
+                f"the controller names an unknown rule {unknown[0]!r} (known: {', '.join(CONSTRAINTS)})"
+            )
+        velocity = None
+        if command.mode == "servo":
+            velocity = np.zeros(6) if command.velocity is None else _numbers(command.velocity, "a velocity")
+            if velocity.shape != (6,):
+                raise InvalidCommandError(f"the controller returned a velocity of shape {velocity.shape}, not (6,)")
+        goal = self._arm.clip(target)
+        clipped = bool((np.abs(goal - target) > 1e-9).any())
+        return Received(goal, velocity, clipped, command.active, bool(command.solver))
+
+
+def _numbers(value: Any, what: str) -> FloatArray:
+    try:
+        numbers = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InvalidCommandError(f"the controller returned {type(value).__name__}, not {what} of numbers") from None
+    if not np.isfinite(numbers).all():
+        raise InvalidCommandError(f"the controller returned {what} with NaN or infinity")
+    return numbers
