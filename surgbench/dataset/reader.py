@@ -6,7 +6,7 @@ import hashlib
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,6 +45,10 @@ class Unit:
     sequence: str
     arms: tuple[Arm, ...]
     kind: str
+
+    def spec(self) -> dict[str, Any]:
+        """What a record's specification says of it beside its id and sequence."""
+        return {"arms": list(self.arms), "mask_kind": self.kind}
 
 
 class Sequence:
@@ -217,6 +221,8 @@ class Dataset:
         hash: SHA-256 of ``dataset.json``, which holds the hash of every other file.
         sequences: In the manifest's order.
     """
+
+    task: ClassVar[str] = "instrument"
 
     def __init__(self, path: Path, manifest: Manifest, hash_: str) -> None:
         self.path = path

@@ -1,4 +1,4 @@
-"""One run from its job to its record."""
+"""One run of an instrument tracker from its job to its record."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from surgbench.dataset.masks import read_image
 from surgbench.dataset.reader import Dataset, Sequence, Unit
 from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument
-from surgbench.report.records import RECORD_FORMAT, SKIPPED
 from surgbench.silhouette import Reference, SilhouetteEvaluator
 from surgbench.state import POSITION, STATE_SIZE
 from surgbench.suite.child import Child, ChildProblemError
-from surgbench.suite.plan import Job, Plug, Readings, Settings
+from surgbench.suite.head import head
+from surgbench.suite.plan import InstrumentSettings, Job, Plug, Readings
 from surgbench.suite.worker import Answer, Setup
 
 
@@ -102,9 +102,21 @@ class UnitData:
         )
 
 
+def own_settings(job: Job) -> InstrumentSettings:
+    """The job's settings, which must be of this task."""
+    assert isinstance(job.settings, InstrumentSettings)
+    return job.settings
+
+
+def unit_data(job: Job, dataset: Dataset) -> UnitData:
+    """The frames of a job's unit."""
+    assert isinstance(job.unit, Unit)
+    return UnitData(dataset, job.unit, own_settings(job).readings)
+
+
 def child_setup(job: Job, scene: Scene) -> Setup:
     """What the child of a job is told before the first frame."""
-    settings: Settings = job.settings
+    settings = own_settings(job)
     # The dataset's name and not its hash, so that a part of it is run with the same random numbers.
     axes: dict[str, str | int] = {
         "seed": settings.protocol.seed,
@@ -129,39 +141,9 @@ def child_setup(job: Job, scene: Scene) -> Setup:
 
 def true_states(job: Job, data: UnitData) -> FloatArray | None:
     """What a filter with ``needs_truth`` is given, ``(T, 9 * arms)``; ``None`` for any other."""
-    if data.truth is None or not job.settings.filter.needs_truth:
+    if data.truth is None or not own_settings(job).filter.needs_truth:
         return None
     return data.truth.reshape(data.frames, -1)
-
-
-def skipped(job: Job, dataset: Dataset, environment: dict[str, Any], reason: str) -> dict[str, Any]:
-    """The record of a job that this machine cannot run, for ``reason``, one line."""
-    return {
-        **_head(job, dataset, environment),
-        "status": SKIPPED,
-        "error": reason,
-        "traceback": None,
-        "initialise_s": None,
-        "frames": _frames([]),
-        "errors": {},
-    }
-
-
-def _head(job: Job, dataset: Dataset, environment: dict[str, Any]) -> dict[str, Any]:
-    """What a record says of its job."""
-    return {
-        "format": RECORD_FORMAT,
-        "spec_hash": job.hash,
-        "settings_hash": job.settings.hash,
-        "variant": job.settings.variant,
-        "floor": job.settings.filter.needs_truth,
-        "spec": job.spec(),
-        "references": job.settings.references,
-        "environment": environment,
-        "dataset_path": str(dataset.path.resolve()),
-        "dataset_frames": job.dataset_frames,
-        "unit_frames": job.frames,
-    }
 
 
 def execute(
@@ -190,12 +172,13 @@ def execute(
     Raises:
         SurgbenchError: The dataset itself is at fault.
     """
-    data = UnitData(dataset, job.unit, job.settings.readings)
+    settings = own_settings(job)
+    data = unit_data(job, dataset)
     evaluator = SilhouetteEvaluator(data.instruments, data.camera)
     answers: list[Answer] = []
     mask_errors: list[tuple[float, float | None]] = []
     status, error, trace, initialise_s = "ok", None, None, None
-    child = Child(job.settings.protocol.timeout_s)
+    child = Child(settings.protocol.timeout_s)
     children.add(child)
     try:
         if stopping.is_set():
@@ -205,11 +188,11 @@ def execute(
         for frame in range(job.frames):
             if stopping.is_set():
                 raise ChildProblemError("failed", "stopped")
-            mask = data.sequence.mask(job.unit.kind, frame)
+            mask = data.sequence.mask(data.unit.kind, frame)
             observation = data.observation(frame, mask)
             if frame == 0:
                 truth = None
-                if data.truth is not None and job.settings.initialiser.needs_truth:
+                if data.truth is not None and settings.initialiser.needs_truth:
                     truth = data.truth[0].reshape(-1)
                 child.send("first", observation, truth, true_states(job, data))
                 while (message := child.receive())[0] == "progress":
@@ -217,7 +200,7 @@ def execute(
                 initialising(1.0)
                 initialise_s = message[2]
             child.send("step", observation)
-            clean = None if data.truth is None else data.sequence.clean_mask(job.unit.kind, frame)
+            clean = None if data.truth is None else data.sequence.clean_mask(data.unit.kind, frame)
             answer: Answer = child.receive()[1]
             answers.append(answer)
             mask_errors.append(_mask_errors(evaluator, answer.state, mask, clean))
@@ -228,7 +211,7 @@ def execute(
         children.discard(child)
         child.stop()
     return {
-        **_head(job, dataset, environment),
+        **head(job, dataset, environment),
         "status": status,
         "error": error,
         "traceback": trace,
