@@ -18,7 +18,8 @@ class ChangeOfView:
     the last bit.
 
     Args:
-        T_view_cam: ``(4, 4)`` from the reference camera's frame to the view's.
+        T_view_cam: ``(4, 4)`` from the reference camera's frame to the view's; or ``(..., 4, 4)``, of as many views
+            as there are states of one arm.
     """
 
     def __init__(self, T_view_cam: FloatArray) -> None:
@@ -31,10 +32,10 @@ class ChangeOfView:
             return states
         moved = np.array(states, dtype=np.float64, order="C")
         arms = split_arms(moved)
-        turn, shift = self._T[:3, :3], self._T[:3, 3]
+        turn, shift = self._T[..., None, :3, :3], self._T[..., None, :3, 3]
         with np.errstate(invalid="ignore"):  # what is not finite stays so
             arms[..., ANGLES] = look_at_angles(turn @ look_at_rotation(arms[..., ANGLES]))
-            arms[..., POSITION] = arms[..., POSITION] @ turn.T + shift
+            arms[..., POSITION] = (turn @ arms[..., POSITION, None])[..., 0] + shift
         return moved
 
     def pull_back(self, states: FloatArray, gradient: FloatArray) -> FloatArray:

@@ -57,6 +57,7 @@ class Spec(_Part):
     readings: str
     repeat: int
     views: int = 1
+    view: str | None = None
     level: str | float | None = None
 
 

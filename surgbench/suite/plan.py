@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from surgbench.dataset.reader import Dataset, Unit
-from surgbench.errors import ConfigError
+from surgbench.errors import ConfigError, unknown_name
 from surgbench.files import canonical_json, sha256_text
 from surgbench.registry import NAME_PATTERN, Kind, configure, find
 
@@ -23,11 +23,13 @@ class Row(BaseModel):
 
     Attributes:
         tracker: Registered name or ``FILE.py:Class``.
-        row_id: Name in the tables; the tracker's name (with ``-joints`` where it reads joints) unless told.
+        row_id: Name in the tables; unless told the tracker's name, with ``-joints`` where it reads joints, and with the
+            view where it has one.
         initialiser: ``truth`` where the dataset has it, else ``random``, unless told.
         filter: State filter.
         keypoints: Keypoint source.
         readings: Which joint readings the tracker is given.
+        view: Auxiliary view that the tracker is given besides the endoscope's.
         options: Plug-in name to its options, for example ``{"cmaes": {"iterations": 5}}``.
         sequences: Only so many units, spread evenly over the dataset's from the first to the last.
         frames: Only the first so many frames of each.
@@ -41,6 +43,7 @@ class Row(BaseModel):
     filter: str = "kalman"
     keypoints: str = "observed"
     readings: Readings = "none"
+    view: str | None = None
     options: dict[str, dict[str, Any]] = {}
     sequences: Annotated[int, Field(ge=1)] | None = None
     frames: Annotated[int, Field(ge=1)] | None = None
@@ -90,6 +93,7 @@ class Settings:
         sequences: How many of the dataset's units are run; ``None`` for all. Which ones are run changes no estimate,
             so that it is no part of the specification: a slice's records are those of the whole.
         frames_limit: How many frames of each unit are run; ``None`` where all units are run to their end.
+        view: The auxiliary view, if there is one.
     """
 
     row_id: str
@@ -101,6 +105,7 @@ class Settings:
     protocol: Protocol
     sequences: int | None = None
     frames_limit: int | None = None
+    view: str | None = None
 
     def spec(self) -> dict[str, Any]:
         """The part of a record's specification that is the same for all units and repeats."""
@@ -118,6 +123,8 @@ class Settings:
             spec["device"] = self.protocol.device
         if self.frames_limit is not None:  # likewise for whole units
             spec["frames_limit"] = self.frames_limit
+        if self.view is not None:  # likewise for one view
+            spec |= {"view": self.view, "views": 2}
         return spec
 
     @property
@@ -154,6 +161,8 @@ class Settings:
             words.append(f"seed {self.protocol.seed}")
         if self.readings != "none":
             words.append(f"{self.readings} readings")
+        if self.view is not None:
+            words.append(f"also the view {self.view}")
         if self.protocol.device != "cpu":
             words.append(f"device {self.protocol.device}")
         for plug, usual in ((self.filter, "kalman"), (self.keypoints, "observed"), (self.initialiser, "truth")):
@@ -256,10 +265,25 @@ def complete(row: Row, protocol: Protocol, dataset: Dataset) -> Settings:
         raise ConfigError(f"--readings true needs ground truth, which '{dataset.name}' has not; use --joints")
     if row.readings == "noisy" and not has_readings:
         raise ConfigError(f"'{dataset.name}' has no joint readings; use --no-joints")
-    row_id = row.row_id or tracker.name + ("-joints" if row.readings != "none" else "")
+    if row.view is not None:
+        _check_view(row.view, protocol.arms, dataset)
+    joints, seen = "-joints" if row.readings != "none" else "", "" if row.view is None else f"-{row.view}"
+    row_id = row.row_id or f"{tracker.name}{joints}{seen}"
     cut = row.frames is not None and any(row.frames < sequence.frames for sequence in dataset.sequences)
     plugs = (tracker, initialiser, state_filter, keypoints)
-    return Settings(row_id, *plugs, row.readings, protocol, row.sequences, row.frames if cut else None)
+    return Settings(row_id, *plugs, row.readings, protocol, row.sequences, row.frames if cut else None, row.view)
+
+
+def _check_view(view: str, arms: str, dataset: Dataset) -> None:
+    """See that every sequence has an auxiliary view, of one arm alone or of both."""
+    for sequence in dataset.sequences:
+        there = sequence.entry.auxiliary
+        if not there:
+            raise ConfigError(f"--view {view}: '{dataset.name}' has no auxiliary views")
+        if view not in there:
+            raise ConfigError(f"--view {view}: {unknown_name('auxiliary view', view, there)}")
+        if arms == "dual" and "both" not in there[view].kinds:
+            raise ConfigError(f"--view {view}: shows each arm alone; use --arms single")
 
 
 def spread(total: int, count: int | None) -> list[int]:

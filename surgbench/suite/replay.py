@@ -35,7 +35,7 @@ def replay_traces(record: dict[str, Any], dataset: Dataset, frames: list[int]) -
     if dataset.hash != spec["dataset"]["sha256"]:
         raise SurgbenchError(f"{dataset.path}: not the dataset of the run '{spec['row_id']}' (another hash)")
     job = _job(record, dataset)
-    data = UnitData(dataset, job.unit, job.settings.readings)
+    data = UnitData(dataset, job.unit, job.settings.readings, job.settings.view)
     setup = child_setup(job, data.scene())
     loop = Loop(setup)
     first = data.observation(0, data.sequence.mask(job.unit.kind, 0))
@@ -67,6 +67,7 @@ def _job(record: dict[str, Any], dataset: Dataset) -> Job:
         filter=references["filter"],
         keypoints=references["keypoints"],
         readings=spec["readings"],
+        view=spec.get("view"),
         options={plug["name"]: plug["options"] for plug in plugs if plug["options"]},
         frames=spec.get("frames_limit"),
     )

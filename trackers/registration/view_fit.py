@@ -60,8 +60,8 @@ class ViewFit:
     """One view of a frame that a state is being fitted to.
 
     Beside the state it has unknowns of its own, which are of no interest and are eliminated: the offset common to all
-    edges, and in a view that is not ``calibrated`` what its pose is wrong by. Without the latter an error of a millimetre
-    there, several pixels, would be explained by an instrument that is somewhere else.
+    edges, and in a view that is not ``calibrated`` what its pose is wrong by. Without the latter an error of a
+    millimetre there, several pixels, would be explained by an instrument that is somewhere else.
 
     Args:
         instruments: One per arm.
@@ -130,7 +130,7 @@ class ViewFit:
         self._width = max(self._config.width_px, NARROWING * self._width)
 
     def _jacobian(self, state: FloatArray, own: FloatArray, gradient: FloatArray) -> FloatArray:
-        """Derivatives ``(K, n)`` with respect to the view's own state as such with respect to all unknowns but the last.
+        """From derivatives ``(K, n)`` for the view's own state to those for all unknowns but the offset.
 
         The view's pose moves every point p of its frame by ``w x p + t``.
         """
