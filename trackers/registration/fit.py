@@ -57,6 +57,7 @@ class ContourFit:
         self._limits = scene.joint_limits
         self._scale = scale
         self._config = config
+        self._frame = -1
         self._views = [ViewFit(scene.instruments, evaluator, scale, config, calibrated=True)]
         for view in scene.views[1:]:
             other = SilhouetteEvaluator(scene.instruments, view.camera)
@@ -83,7 +84,11 @@ class ContourFit:
         config, scale = self._config, self._scale
         n = len(state)
         fit = Fit(state, np.zeros((n, n)), 0.0, 1.0)
+        # Of a frame's fits the first is that of the story that was the best so far.
+        first, self._frame = observation.index != self._frame, observation.index
         for own, view in zip(self._views, observation.views, strict=True):
+            if first:
+                own.next_frame()
             own.begin(view)
         for _ in range(iterations or config.iterations):
             parts = [own.equations(fit.state, spacing_px or config.spacing_px) for own in self._views]
@@ -101,4 +106,7 @@ class ContourFit:
             fit = Fit(moved, information, self._views[0].offset_px, explained)
             if longest < SETTLED:
                 break
+        if first:
+            for own, part in zip(self._views, parts, strict=True):
+                own.learn(information + prior.information - part.information)
         return fit

@@ -36,8 +36,10 @@ class FitConfig(BaseModel):
     tip_px: Annotated[Positive, Field(description="standard deviation of a tip keypoint")] = 3.0
 
 
-# How wrong T_view_cam of a further view may be: rotation vector and translation in that view's frame.
-CALIBRATION = np.array([0.005, 0.005, 0.005, 1e-3, 1e-3, 1e-3])
+# How wrong T_view_cam of a further view may be, and how much that changes from frame to frame: rotation vector and
+# translation in that view's frame.
+CALIBRATION = np.array([0.01, 0.01, 0.01, 3e-3, 3e-3, 3e-3])
+CHANGE = np.array([5e-4, 5e-4, 5e-4, 1e-4, 1e-4, 1e-4])
 
 
 class Equations(NamedTuple):
@@ -59,9 +61,9 @@ class Equations(NamedTuple):
 class ViewFit:
     """One view of a frame that a state is being fitted to.
 
-    Beside the state it has unknowns of its own, which are of no interest and are eliminated: the offset common to all
-    edges, and in a view that is not ``calibrated`` what its pose is wrong by. Without the latter an error of a
-    millimetre there, several pixels, would be explained by an instrument that is somewhere else.
+    Beside the state it has unknowns of its own, which are eliminated: the offset common to all edges, and in a view that
+    is not ``calibrated`` what its pose is wrong by. Without the latter an error of a millimetre there, several pixels,
+    would be explained by an instrument that is somewhere else. It is much the same in all frames, and is learned.
 
     Args:
         instruments: One per arm.
@@ -89,14 +91,29 @@ class ViewFit:
         self._config = config
         self._calibrated = calibrated
         self._scale = scale if calibrated else np.concatenate([scale, CALIBRATION])
+        # What the pose is wrong by, in CALIBRATION's units: what is known before a frame, and after its first fit.
+        self._known = self._learned = np.zeros(6), np.eye(6)
+
+    def next_frame(self) -> None:
+        """What was learned in the last frame is known in the next, but for what has changed since."""
+        mean, information = self._learned
+        self._known = mean, np.linalg.inv(np.linalg.inv(information) + np.diag((CHANGE / CALIBRATION) ** 2))
 
     def begin(self, view: View) -> None:
-        """Take a frame's view; nothing is known yet of its own unknowns."""
+        """Begin a fit to a frame's view."""
         self._view = view
-        self._change = ChangeOfView(view.T_view_cam)
-        self._pose: FloatArray = np.zeros(len(self._scale) - self._size)  # standard deviations
         self.offset_px = 0.0
         self._width: float | None = None
+        self._place(np.zeros(0) if self._calibrated else self._known[0])
+
+    def _place(self, pose: FloatArray) -> None:
+        """Take the view's pose to be wrong by so much, ``(6,)`` in CALIBRATION's units."""
+        self._pose = pose
+        T_view_cam = self._view.T_view_cam
+        if not self._calibrated:
+            error = pose * CALIBRATION
+            T_view_cam = rigid_transform(rotation_from_vector(error[:3]), error[3:]) @ T_view_cam
+        self._change = ChangeOfView(T_view_cam)
 
     def equations(self, state: FloatArray, spacing_px: int) -> Equations:
         """Linearise at ``state`` ``(n,)``."""
@@ -107,13 +124,16 @@ class ViewFit:
         A, b, explained_px, length_px = self._edges(contour)
         self._add_tips(A, b, state, own)
         A[-1, -1] += 1.0 / config.offset_px**2
-        for k, error in enumerate(self._pose, n):
-            A[k, k] += 1.0
-            b[k] -= error
+        if not self._calibrated:
+            mean, information = self._known
+            A[n:-1, n:-1] += information
+            b[n:-1] += information @ (mean - self._pose)
         self._eliminated = []
         for k in range(len(b) - 1, n - 1, -1):
             self._eliminated.append((A[k, :k], b[k], A[k, k]))
             A, b = A[:k, :k] - np.outer(A[:k, k], A[k, :k]) / A[k, k], b[:k] - A[:k, k] * (b[k] / A[k, k])
+            if k == n + len(self._pose):
+                self._with_pose = A
         return Equations(A, b, explained_px, length_px)
 
     def follow(self, step: FloatArray) -> None:
@@ -122,12 +142,21 @@ class ViewFit:
             step = np.append(step, (right - row @ step) / pivot)
         self.offset_px = float(step[-1])
         if not self._calibrated:
-            self._pose = self._pose + step[self._size : -1]
-            error = self._pose * CALIBRATION
-            moved = rigid_transform(rotation_from_vector(error[:3]), error[3:])
-            self._change = ChangeOfView(moved @ self._view.T_view_cam)
+            self._place(self._pose + step[self._size : -1])
         assert self._width is not None
         self._width = max(self._config.width_px, NARROWING * self._width)
+
+    def learn(self, others: FloatArray) -> None:
+        """Keep what this fit says of the view's pose, for the frames to come.
+
+        Args:
+            others: ``(n, n)`` what is known of the state from elsewhere, natural steps.
+        """
+        if self._calibrated:
+            return
+        A, n = self._with_pose, self._size
+        about_state = np.linalg.solve(A[:n, :n] + others, A[:n, n:])
+        self._learned = self._pose, A[n:, n:] - A[n:, :n] @ about_state
 
     def _jacobian(self, state: FloatArray, own: FloatArray, gradient: FloatArray) -> FloatArray:
         """From derivatives ``(K, n)`` for the view's own state to those for all unknowns but the offset.
