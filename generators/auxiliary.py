@@ -169,7 +169,7 @@ def make_views(preset: Preset, sequence: str, states: FloatArray, instrument: In
             truth |= _pose_columns(arm, of_arm[arm])
             observed |= _pose_columns(arm, report(of_arm[arm], settings, constant, rng))
             rng = generator(**axes, arm=arm, view=name, purpose="keypoints")
-            own = ChangeOfView(of_arm[arm]).states(states[:, index])
+            own = np.array([ChangeOfView(T).states(one) for T, one in zip(of_arm[arm], states[:, index], strict=True)])
             points = observe_keypoints(own, instrument, settings.camera, preset.keypoints, rng)
             observed |= dict(zip(keypoint_columns(arm, arm), points.reshape(-1, 4).T, strict=True))
         made[name] = ViewTables(of_arm, observed, truth)

@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+import math
+from typing import Any
+
 import numpy as np
+from numba import njit
 
-from surgbench.geometry import FloatArray, look_at_angles, look_at_rotation
-from surgbench.state import ALPHA, ANGLES, GAMMA, POSITION, split_arms
+from surgbench.geometry import FloatArray
+from surgbench.state import STATE_SIZE
 
-# Where the shaft stands along a view's y axis, beta and gamma are one angle; their rates stay finite up to here.
+_compiled = njit(cache=True, nogil=True, error_model="numpy")
+
+# Where the shaft stands along a view's y axis, beta and gamma are one angle: below this cosine of alpha, gamma is 0,
+# and the rates are taken as if the cosine were this.
 LEAST_COSINE = 1e-9
 
 
@@ -18,12 +25,11 @@ class ChangeOfView:
     the last bit.
 
     Args:
-        T_view_cam: ``(4, 4)`` from the reference camera's frame to the view's; or ``(..., 4, 4)``, of as many views
-            as there are states of one arm.
+        T_view_cam: ``(4, 4)`` from the reference camera's frame to the view's.
     """
 
     def __init__(self, T_view_cam: FloatArray) -> None:
-        self._T = np.asarray(T_view_cam, dtype=np.float64)
+        self._T = np.array(T_view_cam, dtype=np.float64, order="C")
         self._same = bool(np.array_equal(self._T, np.eye(4)))
 
     def states(self, states: FloatArray) -> FloatArray:
@@ -31,11 +37,7 @@ class ChangeOfView:
         if self._same:
             return states
         moved = np.array(states, dtype=np.float64, order="C")
-        arms = split_arms(moved)
-        turn, shift = self._T[..., None, :3, :3], self._T[..., None, :3, 3]
-        with np.errstate(invalid="ignore"):  # what is not finite stays so
-            arms[..., ANGLES] = look_at_angles(turn @ look_at_rotation(arms[..., ANGLES]))
-            arms[..., POSITION] = (turn @ arms[..., POSITION, None])[..., 0] + shift
+        _move(moved.reshape(-1, STATE_SIZE), self._T)
         return moved
 
     def pull_back(self, states: FloatArray, gradient: FloatArray) -> FloatArray:
@@ -45,42 +47,96 @@ class ChangeOfView:
         frame, and ``R_view_cam w`` in the view's.
 
         Args:
-            states: ``(..., 9 * arms)`` of the reference frame.
-            gradient: ``(..., 9 * arms)`` derivatives with respect to the view's states, to be broadcast with them.
+            states: ``(n, 9 * arms)`` of the reference frame, or one state ``(9 * arms,)`` for all derivatives.
+            gradient: ``(n, 9 * arms)`` derivatives with respect to the view's states.
 
         Returns:
-            ``(..., 9 * arms)``.
+            ``(n, 9 * arms)``.
         """
         if self._same:
             return gradient
         pulled = np.array(gradient, dtype=np.float64, order="C")
-        arms, turn = split_arms(pulled), self._T[:3, :3]
-        with np.errstate(invalid="ignore"):
-            here = _angular_velocities(split_arms(states)[..., ANGLES])
-            there = angle_rates(split_arms(self.states(states))[..., ANGLES])
-            arms[..., ANGLES] = np.einsum("...i,...ij->...j", arms[..., ANGLES], there @ turn @ here)
-        arms[..., POSITION] = arms[..., POSITION] @ turn
+        here = np.array(states, dtype=np.float64, order="C")
+        _pull(here.reshape(-1, STATE_SIZE), self._T, pulled.reshape(-1, STATE_SIZE))
         return pulled
 
 
-def _angular_velocities(angles_rad: FloatArray) -> FloatArray:
-    """``(..., 3, 3)``: the angular velocity in the camera frame, a column for the rate of each of ``(..., 3)`` angles.
+@_compiled
+def _turned(state: Any, T: Any, R: Any) -> None:
+    """Rotation of a state in the view's frame."""
+    sa, sb, sg = math.sin(state[0]), math.sin(state[1]), math.sin(state[2])
+    ca, cb, cg = math.cos(state[0]), math.cos(state[1]), math.cos(state[2])
+    for i in range(3):
+        x, y, z = T[i, 0], T[i, 1], T[i, 2]
+        R[i, 0] = x * (cg * cb + sg * sa * sb) + y * ca * sb + z * (-sg * cb + cg * sa * sb)
+        R[i, 1] = x * (-cg * sb + sg * sa * cb) + y * ca * cb + z * (sg * sb + cg * sa * cb)
+        R[i, 2] = x * sg * ca - y * sa + z * cg * ca
 
-    Of ``Ry(gamma) Rx(alpha) Rz(beta)`` the axes are ``Ry(gamma) x`` for alpha, the shaft for beta, and y for gamma.
-    """
-    gamma = angles_rad[..., GAMMA]
-    zero, one = np.zeros_like(gamma), np.ones_like(gamma)
-    alpha_axis = np.stack([np.cos(gamma), zero, -np.sin(gamma)], axis=-1)
-    shaft = look_at_rotation(angles_rad)[..., 2]
-    return np.stack([alpha_axis, shaft, np.stack([zero, one, zero], axis=-1)], axis=-1)
+
+@_compiled
+def _move(states: Any, T: Any) -> None:
+    R = np.empty((3, 3))
+    for k in range(states.shape[0]):
+        state = states[k]
+        _turned(state, T, R)
+        cosine = math.hypot(R[1, 0], R[1, 1])
+        state[0] = math.atan2(-R[1, 2], cosine)
+        if cosine >= LEAST_COSINE:
+            state[1] = math.atan2(R[1, 0], R[1, 1])
+            state[2] = math.atan2(R[0, 2], R[2, 2])
+        else:
+            state[1] = math.atan2(-R[0, 1], R[0, 0])
+            state[2] = 0.0 * cosine  # not a number stays none
+        x, y, z = state[3], state[4], state[5]
+        for i in range(3):
+            state[3 + i] = T[i, 0] * x + T[i, 1] * y + T[i, 2] * z + T[i, 3]
+
+
+@_compiled
+def _rates(state: Any, T: Any, R: Any, rates: Any) -> None:
+    """``(3, 3)`` derivatives of the view's angles with respect to the reference frame's."""
+    _turned(state, T, R)
+    cosine = math.hypot(R[1, 0], R[1, 1])
+    # Ry(gamma) z of the view's gamma: the shaft's axis laid into the plane of x and z.
+    sg, cg = (R[0, 2] / cosine, R[2, 2] / cosine) if cosine >= LEAST_COSINE else (0.0, 1.0)
+    least = max(cosine, LEAST_COSINE)
+    for j in range(3):
+        # Axes about which alpha, beta and gamma turn, in the reference frame: Ry(gamma) x, the shaft, and y.
+        if j == 0:
+            x, y, z = math.cos(state[2]), 0.0, -math.sin(state[2])
+        elif j == 1:
+            ca = math.cos(state[0])
+            x, y, z = math.sin(state[2]) * ca, -math.sin(state[0]), math.cos(state[2]) * ca
+        else:
+            x, y, z = 0.0, 1.0, 0.0
+        u = T[0, 0] * x + T[0, 1] * y + T[0, 2] * z
+        v = T[1, 0] * x + T[1, 1] * y + T[1, 2] * z
+        w = T[2, 0] * x + T[2, 1] * y + T[2, 2] * z
+        rates[0, j] = cg * u - sg * w
+        rates[1, j] = (sg * u + cg * w) / least
+        rates[2, j] = v - R[1, 2] * rates[1, j]
+
+
+@_compiled
+def _pull(states: Any, T: Any, gradients: Any) -> None:
+    R, rates = np.empty((3, 3)), np.empty((states.shape[0], 3, 3))
+    for k in range(states.shape[0]):
+        _rates(states[k], T, R, rates[k])
+    for k in range(gradients.shape[0]):
+        # One state of some arms may stand for all: its arms come round again and again.
+        rate, g = rates[k % states.shape[0]], gradients[k]
+        a, b, c = g[0], g[1], g[2]
+        x, y, z = g[3], g[4], g[5]
+        for j in range(3):
+            g[j] = a * rate[0, j] + b * rate[1, j] + c * rate[2, j]
+            g[3 + j] = x * T[0, j] + y * T[1, j] + z * T[2, j]
 
 
 def angle_rates(angles_rad: FloatArray) -> FloatArray:
-    """``(..., 3, 3)``: rates of ``(..., 3)`` angles, a row each, for an angular velocity in the camera frame."""
-    alpha, gamma = angles_rad[..., ALPHA], angles_rad[..., GAMMA]
-    sin_gamma, cos_gamma = np.sin(gamma), np.cos(gamma)
+    """``(..., 3, 3)``: rates of ``(..., 3)`` look-at angles, a row each, for an angular velocity in their frame."""
+    alpha, gamma = angles_rad[..., 0], angles_rad[..., 2]
     zero, one = np.zeros_like(gamma), np.ones_like(gamma)
-    level = np.stack([sin_gamma, zero, cos_gamma], axis=-1)  # Ry(gamma) z: the shaft's axis laid into the plane of x, z
+    level = np.stack([np.sin(gamma), zero, np.cos(gamma)], axis=-1)
     beta_rate = level / np.maximum(np.cos(alpha), LEAST_COSINE)[..., None]
     gamma_rate = np.stack([zero, one, zero], axis=-1) + np.sin(alpha)[..., None] * beta_rate
-    return np.stack([np.stack([cos_gamma, zero, -sin_gamma], axis=-1), beta_rate, gamma_rate], axis=-2)
+    return np.stack([np.stack([np.cos(gamma), zero, -np.sin(gamma)], axis=-1), beta_rate, gamma_rate], axis=-2)

@@ -58,11 +58,6 @@ def look_at_angles(rotation: FloatArray) -> FloatArray:
     alpha = np.arcsin(np.clip(-r[..., 1, 2], -1.0, 1.0))
     beta = np.arctan2(r[..., 1, 0], r[..., 1, 1])
     gamma = np.arctan2(r[..., 0, 2], r[..., 2, 2])
-    # With alpha at a quarter turn beta and gamma are one angle, and the elements above are rounding errors.
-    locked = np.hypot(r[..., 1, 0], r[..., 1, 1]) < 1e-9
-    if locked.any():
-        beta = np.where(locked, np.arctan2(-r[..., 0, 1], r[..., 0, 0]), beta)
-        gamma = np.where(locked, 0.0, gamma)
     return np.stack([alpha, beta, gamma], axis=-1)
 
 

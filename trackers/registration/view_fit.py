@@ -61,9 +61,10 @@ class Equations(NamedTuple):
 class ViewFit:
     """One view of a frame that a state is being fitted to.
 
-    Beside the state it has unknowns of its own, which are eliminated: the offset common to all edges, and in a view that
-    is not ``calibrated`` what its pose is wrong by. Without the latter an error of a millimetre there, several pixels,
-    would be explained by an instrument that is somewhere else. It is much the same in all frames, and is learned.
+    Beside the state it has unknowns of its own, which are eliminated: the offset common to all edges, and in a view
+    that is not ``calibrated`` what its pose is wrong by. Without the latter an error of a millimetre there, several
+    pixels, would be explained by an instrument that is somewhere else. It is much the same in all frames, and is
+    learned.
 
     Args:
         instruments: One per arm.
