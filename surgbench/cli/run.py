@@ -26,6 +26,9 @@ def run(
     readings: Annotated[
         Literal["none", "noisy", "true"] | None, typer.Option(help="Which joint readings trackers are given.")
     ] = None,
+    view: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Auxiliary view that trackers see besides the endoscope's.")
+    ] = None,
     arms: Annotated[
         Literal["single", "dual"] | None, typer.Option(help="Each arm alone, or pairs in one mask.")
     ] = None,
@@ -82,6 +85,7 @@ def run(
         "keypoints": keypoints,
         "filter": filter_,
         "readings": _readings(no_joints, joints, readings),
+        "view": view,
         "sequences": sequences,
         "frames": frames,
     }

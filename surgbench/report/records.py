@@ -63,6 +63,7 @@ class Spec(AnySpec):
     keypoints: Plug
     readings: str
     views: int = 1
+    view: str | None = None
 
 
 class ViewpointSpec(AnySpec):

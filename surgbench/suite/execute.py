@@ -31,9 +31,10 @@ class UnitData:
         dataset: The dataset.
         unit: One of its units.
         readings: Which joint readings observations hold.
+        view: Auxiliary view that observations hold besides the endoscope's.
     """
 
-    def __init__(self, dataset: Dataset, unit: Unit, readings: Readings) -> None:
+    def __init__(self, dataset: Dataset, unit: Unit, readings: Readings, view: str | None = None) -> None:
         self.unit = unit
         self.sequence: Sequence = dataset.sequence(unit.sequence)
         self.camera = self.sequence.camera
@@ -45,6 +46,7 @@ class UnitData:
         self._joints = self._joint_readings(readings)
         # From the same encoders as the joints' readings, and never better than those.
         self._kinematics = None if readings == "none" else self._stack([self.sequence.kinematics(a) for a in unit.arms])
+        self._auxiliary = None if view is None else self.sequence.auxiliary(view)
         self._limits = self.scene().joint_limits
 
     @staticmethod
@@ -68,10 +70,16 @@ class UnitData:
     def scene(self) -> Scene:
         """What stays the same over the sequence."""
         bases = [base for arm in self.unit.arms if (base := self.sequence.T_cam_base(arm)) is not None]
-        empty = np.zeros((self.camera.height, self.camera.width), dtype=bool)
+        cameras = [(self.camera, np.eye(4))]
+        if self._auxiliary is not None:
+            cameras.append((self._auxiliary.camera, self._auxiliary.T_view_cam(self.unit.kind)[0]))
+        nothing = (None,) * len(self.unit.arms)
         return Scene(
             instruments=self.instruments,
-            views=(View(self.camera, np.eye(4), empty, keypoints=(None,) * len(self.unit.arms)),),
+            views=tuple(
+                View(camera, T_view_cam, np.zeros((camera.height, camera.width), dtype=bool), keypoints=nothing)
+                for camera, T_view_cam in cameras
+            ),
             limits=tuple(instrument.search_limits for instrument in self.instruments),
             dt_s=self.sequence.dt_s,
             arms=len(self.unit.arms),
@@ -81,7 +89,7 @@ class UnitData:
 
     def observation(self, frame: int, mask: Mask) -> Observation:
         """What a tracker may know of a frame; ``start`` is the engine's to fill in."""
-        keypoints = tuple(None if np.isnan(arm[frame]).any() else arm[frame] for arm in self._keypoints)
+        keypoints = _seen(self._keypoints, frame)
         path = self.sequence.image_path(frame)
         # Only the file's place: a bound method would carry the sequence, its readings and its truth along.
         image = no_image if path is None else partial(read_image, path, self.camera.width, self.camera.height)
@@ -95,11 +103,23 @@ class UnitData:
         return Observation(
             index=frame,
             timestamp_s=float(self.sequence.timestamps_s[frame]),
-            views=(View(self.camera, np.eye(4), mask, keypoints=keypoints, image=image),),
+            views=(View(self.camera, np.eye(4), mask, keypoints=keypoints, image=image), *self._further_views(frame)),
             start=np.zeros(STATE_SIZE * len(self.unit.arms)),
             joints=joints,
             kinematics=kinematics,
         )
+
+    def _further_views(self, frame: int) -> tuple[View, ...]:
+        view, kind = self._auxiliary, self.unit.kind
+        if view is None:
+            return ()
+        keypoints = _seen([view.keypoints(kind, arm) for arm in self.unit.arms], frame)
+        return (View(view.camera, view.T_view_cam(kind)[frame], view.mask(kind, frame), keypoints=keypoints),)
+
+
+def _seen(keypoints: list[FloatArray], frame: int) -> tuple[FloatArray | None, ...]:
+    """Of each arm both tips of a frame, or ``None``."""
+    return tuple(None if np.isnan(arm[frame]).any() else arm[frame] for arm in keypoints)
 
 
 def own_settings(job: Job) -> InstrumentSettings:
@@ -111,7 +131,7 @@ def own_settings(job: Job) -> InstrumentSettings:
 def unit_data(job: Job, dataset: Dataset) -> UnitData:
     """The frames of a job's unit."""
     assert isinstance(job.unit, Unit)
-    return UnitData(dataset, job.unit, own_settings(job).readings)
+    return UnitData(dataset, job.unit, own_settings(job).readings, own_settings(job).view)
 
 
 def child_setup(job: Job, scene: Scene) -> Setup:

@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from surgbench.dataset.reader import Dataset, Unit
-from surgbench.errors import ConfigError
+from surgbench.errors import ConfigError, unknown_name
 from surgbench.files import canonical_json, sha256_text
 from surgbench.registry import NAME_PATTERN, Kind, configure, find
 
@@ -24,7 +24,7 @@ Device = Literal["cpu", "cuda"]
 HASH_DIGITS = 16
 # What a row may ask for on datasets of one task alone.
 TASK_FIELDS = {
-    "instrument": ("initialiser", "filter", "keypoints", "readings"),
+    "instrument": ("initialiser", "filter", "keypoints", "readings", "view"),
     "viewpoint": ("registration", "missing_face"),
 }
 
@@ -34,11 +34,13 @@ class Row(BaseModel):
 
     Attributes:
         tracker: Registered name or ``FILE.py:Class``.
-        row_id: Name in the tables; the tracker's name (with ``-joints`` where it reads joints) unless told.
+        row_id: Name in the tables; unless told the tracker's name, with ``-joints`` where it reads joints, and with the
+            view where it has one.
         initialiser: ``truth`` where the dataset has it, else ``random``, unless told.
         filter: State filter.
         keypoints: Keypoint source.
         readings: Which joint readings the tracker is given.
+        view: Auxiliary view that the tracker is given besides the endoscope's.
         registration: Viewpoint task: how touched points correct the camera arm's base.
         missing_face: Viewpoint task: the no-go zone as in the published code, which never tests one of its sides.
         options: Plug-in name to its options, for example ``{"cmaes": {"iterations": 5}}``.
@@ -54,6 +56,7 @@ class Row(BaseModel):
     filter: str = "kalman"
     keypoints: str = "observed"
     readings: Readings = "none"
+    view: str | None = None
     registration: Registration = "translation"
     missing_face: bool = False
     options: dict[str, dict[str, Any]] = {}
@@ -105,6 +108,7 @@ class Settings:
         sequences: How many of the dataset's units are run; ``None`` for all. Which ones are run changes no estimate,
             so that it is no part of the specification: a slice's records are those of the whole.
         frames_limit: How many frames of each unit are run; ``None`` where all units are run to their end.
+        view: The auxiliary view, if there is one.
     """
 
     row_id: str
@@ -170,12 +174,17 @@ class Settings:
 
 @dataclass(frozen=True)
 class InstrumentSettings(Settings):
-    """Settings of a row of the instrument task."""
+    """Settings of a row of the instrument task.
+
+    Attributes:
+        view: Auxiliary view that the tracker is given besides the endoscope's.
+    """
 
     initialiser: Plug
     filter: Plug
     keypoints: Plug
     readings: Readings
+    view: str | None = None
 
     task: ClassVar[str] = "instrument"
 
@@ -190,8 +199,9 @@ class InstrumentSettings(Settings):
         return self.filter.needs_truth
 
     def spec(self) -> dict[str, Any]:
-        """Adds the readings."""
-        return {**super().spec(), "readings": self.readings}
+        """Adds the readings, and the view where there is one besides the endoscope's."""
+        spec = {**super().spec(), "readings": self.readings}
+        return spec if self.view is None else {**spec, "view": self.view, "views": 2}
 
     def words(self) -> list[str]:
         """Adds the other plug-ins."""
@@ -199,6 +209,8 @@ class InstrumentSettings(Settings):
         words += super().words()
         if self.readings != "none":
             words.append(f"{self.readings} readings")
+        if self.view is not None:
+            words.append(f"also the view {self.view}")
         if self.protocol.device != "cpu":
             words.append(f"device {self.protocol.device}")
         for plug, usual in ((self.filter, "kalman"), (self.keypoints, "observed"), (self.initialiser, "truth")):
@@ -329,8 +341,11 @@ def _complete_instrument(row: Row, protocol: Protocol, dataset: Dataset) -> Inst
         raise ConfigError(f"--readings true needs ground truth, which '{dataset.name}' has not; use --joints")
     if row.readings == "noisy" and not has_readings:
         raise ConfigError(f"'{dataset.name}' has no joint readings; use --no-joints")
+    if row.view is not None:
+        _check_view(row.view, protocol.arms, dataset)
+    joints, seen = "-joints" if row.readings != "none" else "", "" if row.view is None else f"-{row.view}"
     return InstrumentSettings(
-        row_id=row.row_id or tracker.name + ("-joints" if row.readings != "none" else ""),
+        row_id=row.row_id or f"{tracker.name}{joints}{seen}",
         tracker=tracker,
         protocol=protocol,
         sequences=row.sequences,
@@ -339,7 +354,20 @@ def _complete_instrument(row: Row, protocol: Protocol, dataset: Dataset) -> Inst
         filter=state_filter,
         keypoints=keypoints,
         readings=row.readings,
+        view=row.view,
     )
+
+
+def _check_view(view: str, arms: str, dataset: Dataset) -> None:
+    """See that every sequence has an auxiliary view, of one arm alone or of both."""
+    for sequence in dataset.sequences:
+        there = sequence.entry.auxiliary
+        if not there:
+            raise ConfigError(f"--view {view}: '{dataset.name}' has no auxiliary views")
+        if view not in there:
+            raise ConfigError(f"--view {view}: {unknown_name('auxiliary view', view, there)}")
+        if arms == "dual" and "both" not in there[view].kinds:
+            raise ConfigError(f"--view {view}: shows each arm alone; use --arms single")
 
 
 def spread(total: int, count: int | None) -> list[int]:

@@ -67,6 +67,7 @@ def _job(record: dict[str, Any], dataset: Dataset) -> Job:
         filter=references["filter"],
         keypoints=references["keypoints"],
         readings=spec["readings"],
+        view=spec.get("view"),
         options={plug["name"]: plug["options"] for plug in plugs if plug["options"]},
         frames=spec.get("frames_limit"),
     )
