@@ -142,7 +142,7 @@ def _checked(cls: Any, kind: Kind, source: str) -> type:
     if not isinstance(name, str) or not re.fullmatch(NAME_PATTERN, name):
         raise ConfigError(f"{source}: needs a 'name' of letters, digits, '.', '_' and '-', not {name!r}")
     if getattr(cls, "task", TASKS[0]) not in TASKS:
-        raise ConfigError(f"{source}: {unknown_name('task', str(cls.task), TASKS)}")
+        raise ConfigError(f"{source}: {unknown_name('task', str(getattr(cls, 'task', '')), TASKS)}")
     config = getattr(cls, "Config", None)
     if config is not None and not (inspect.isclass(config) and issubclass(config, BaseModel)):
         raise ConfigError(f"{source}: 'Config' must be a pydantic model")

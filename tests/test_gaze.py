@@ -28,7 +28,7 @@ WEIGHTS = 1 / np.array([2e-3, 2e-3, 1e-3, 2e-2, 3e-4, 1.0])
 
 def run(trial: Trial, **options: float) -> Course:
     """The course of a trial."""
-    return Simulation(Gaze(GazeConfig(**options)), trial, make_scene(trial), np.random.default_rng(0)).run()  # type: ignore[arg-type]
+    return Simulation(Gaze(GazeConfig(**options)), trial, make_scene(trial), np.random.default_rng(0)).run()
 
 
 joints_within = st.tuples(*(st.floats(a, b) for a, b in zip(ARM.lower, ARM.upper, strict=True))).map(np.array)

@@ -22,6 +22,7 @@ from surgbench.reproduce.consistency import inconsistencies
 from surgbench.reproduce.fingerprint import head, record_sha256
 from surgbench.reproduce.published import load_published
 from surgbench.reproduce.results import Results, read_results
+from surgbench.reproduce.sheet import sheet_of
 from surgbench.reproduce.table import Definition, load_table
 
 STRANGERS = Path(__file__).with_name("strangers.py")
@@ -239,9 +240,10 @@ def test_estimates_that_come_out_differently_fail(copy: Path, capsys: pytest.Cap
 def test_tolerance_follows_the_spread() -> None:
     """Other bits, as on another processor, are no difference; other errors are."""
     committed = {"frames": 100, "errors": {"rotation_error_rad": [0.1, 0.1]}}
+    tolerances = sheet_of("instrument").no_difference
     for now, beyond in ((0.1, False), (0.19, False), (0.01, False), (0.3, True), (float("inf"), True)):
-        assert bool(beyond_tolerance(committed, {"errors": {"rotation_error_rad": [now, 0.1]}})) == beyond
-    assert beyond_tolerance(committed, {"errors": {}}) == [("rotation_error_rad", 0.1, float("inf"))]
+        assert bool(beyond_tolerance(committed, {"errors": {"rotation_error_rad": [now, 0.1]}}, tolerances)) == beyond
+    assert beyond_tolerance(committed, {"errors": {}}, tolerances) == [("rotation_error_rad", 0.1, float("inf"))]
 
 
 def test_choice_follows_table_and_commit(definition: Definition, results: Results) -> None:

@@ -35,7 +35,9 @@ def make_trial(poses: FloatArray, base: FloatArray | None = None, start: FloatAr
     if start is None:
         start = arm.clip(arm.inverse(inverse_transform(base) @ naive_pose(poses[0]), np.array([0, 0, 0, -2.8, 0, 0])))
     truth = TrialTruth(poses.copy(), base.copy(), np.zeros(len(poses), dtype=bool))
-    return Trial("world", DT_S, np.arange(len(poses)) * DT_S, poses, base, touches, ZONE_M, start, truth)
+    return Trial(
+        "world", DT_S, DT_S * np.arange(len(poses), dtype=np.float64), poses, base, touches, ZONE_M, start, truth
+    )
 
 
 def circling(steps: int, radius_m: float = 0.02, period_s: float = 12.0) -> Trial:

@@ -10,15 +10,16 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from surgbench.dataset.reader import Dataset
+from surgbench.dataset.open import AnyDataset, open_dataset
 from surgbench.errors import DatasetError
 from surgbench.files import sha256_file
 from surgbench.randomness import generator
 from surgbench.report.records import SKIPPED
 from surgbench.reproduce.consistency import inconsistencies
 from surgbench.reproduce.datasets import MakeDataset, PartRequest, Watcher, provide
-from surgbench.reproduce.fingerprint import head, largest_deviation, sequence_head_sha256
+from surgbench.reproduce.fingerprint import head, largest_deviation
 from surgbench.reproduce.results import LEADERBOARD_CSV, Results, read_results
+from surgbench.reproduce.sheet import sheet_of
 from surgbench.reproduce.table import Block, Definition, TableRow
 from surgbench.suite.environment import environment
 from surgbench.suite.plan import Job, complete
@@ -32,17 +33,6 @@ Outcome = Literal["identical", "close", "differs", "failed", "skipped"]
 # frames may differ by so many of its standard errors (ten frames counting as one, since they resemble each other),
 # this share of it, and by what nobody would call a difference.
 STANDARD_ERRORS, FRAMES_ALIKE, SHARE = 3.0, 10, 0.1
-NO_DIFFERENCE = {
-    "rotation_error_rad": 1e-3,
-    "translation_error_m": 5e-5,
-    "tip_error_m": 5e-5,
-    "q1_error_rad": 1e-3,
-    "q2_error_rad": 1e-3,
-    "q3_error_rad": 1e-3,
-    "keypoint_error_px": 0.2,
-    "mask_error": 1e-3,
-    "mask_error_true": 1e-3,
-}
 
 
 @dataclass(frozen=True)
@@ -143,17 +133,17 @@ def choose(definition: Definition, results: Results, table_sha256: str, commit: 
 
 def _dataset(
     block: Block, chosen: Sequence[Chosen], results: Results, data: Path, scratch: Path, jobs: int, make: MakeDataset
-) -> Dataset:
+) -> AnyDataset:
     """The whole dataset where it lies already, else just what is needed of it."""
     committed = results.about["datasets"][block.dataset.folder]
     try:
-        whole = Dataset.open(data / block.dataset.folder)
+        whole = open_dataset(data / block.dataset.folder)
         if whole.hash == committed["sha256"]:
             return whole
     except DatasetError:
         pass
     # A unit is a sequence, or one arm of it.
-    ids = list(committed["first_masks_sha256"])
+    ids = list(first_sha256(committed))
     needed = tuple(id_ for id_ in ids if any(one.unit.partition("-")[0] == id_ or one.unit == id_ for one in chosen))
     return provide(block.dataset, PartRequest(needed, results.about["first_frames"]), scratch, jobs, make)
 
@@ -161,7 +151,7 @@ def _dataset(
 def _run_again(
     block: Block,
     chosen: Sequence[Chosen],
-    dataset: Dataset,
+    dataset: AnyDataset,
     results: Results,
     out: Path,
     workers: int,
@@ -178,13 +168,13 @@ def _run_again(
     return verdicts
 
 
-def _job(block: Block, chosen: Chosen, dataset: Dataset) -> Job:
+def _job(block: Block, chosen: Chosen, dataset: AnyDataset) -> Job:
     asked = chosen.row.asked(quick=False).model_copy(update={"sequences": None, "frames": chosen.frames})
     settings = complete(asked, block.protocol, dataset)
     return next(job for job in plan_jobs(settings, dataset) if job.unit.id == chosen.unit and job.repeat == 0)
 
 
-def _judge(chosen: Chosen, job: Job, record: dict[str, Any], dataset: Dataset, results: Results) -> Verdict:
+def _judge(chosen: Chosen, job: Job, record: dict[str, Any], dataset: AnyDataset, results: Results) -> Verdict:
     if record["status"] == SKIPPED:
         return Verdict(chosen, "skipped", record["error"])
     if record["status"] != "ok":
@@ -192,30 +182,39 @@ def _judge(chosen: Chosen, job: Job, record: dict[str, Any], dataset: Dataset, r
     committed, found = results.about["records"][chosen.key]["head"], head(record, chosen.frames)
     if committed["states_sha256"] == found["states_sha256"]:
         return Verdict(chosen, "identical", f"{found['frames']} states bit for bit")
-    beyond = beyond_tolerance(committed, found)
+    beyond = beyond_tolerance(committed, found, sheet_of(job.settings.task).no_difference)
     notes = [f"frame {found['frames'] - 1} off by {largest_deviation(committed['last'], found['last']):.2g}"]
     notes += [f"mean {name} {now:.4g} instead of {then:.4g}" for name, then, now in beyond]
-    if not _same_masks(chosen, job, dataset, results):
-        notes.append("the masks are not the committed ones")
+    if not _same_data(chosen, job, dataset, results):
+        notes.append("the data are not the committed ones")
     settings_hash = next(row["settings_hash"] for row in results.rows if row["row_id"] == chosen.row.id)
     if chosen.row.frames is None and replace(job.settings, frames_limit=None).hash != settings_hash:
         notes.append("options or a plug-in's source have changed since the table was made")
     return Verdict(chosen, "differs" if beyond else "close", "; ".join(notes))
 
 
-def beyond_tolerance(committed: dict[str, Any], found: dict[str, Any]) -> list[tuple[str, float, float]]:
+def beyond_tolerance(
+    committed: dict[str, Any], found: dict[str, Any], no_difference: dict[str, float]
+) -> list[tuple[str, float, float]]:
     """Errors of the first frames that no rounding explains: name, mean then, mean now."""
     beyond = []
     independent = max(1.0, committed["frames"] / FRAMES_ALIKE)
     for name, (mean, std) in committed["errors"].items():
-        tolerance = STANDARD_ERRORS * std / math.sqrt(independent) + SHARE * abs(mean) + NO_DIFFERENCE[name]
+        tolerance = STANDARD_ERRORS * std / math.sqrt(independent) + SHARE * abs(mean) + no_difference[name]
         now = found["errors"].get(name, [math.inf])[0]
         if abs(now - mean) > tolerance:
             beyond.append((name, mean, now))
     return beyond
 
 
-def _same_masks(chosen: Chosen, job: Job, dataset: Dataset, results: Results) -> bool:
-    committed = results.about["datasets"][chosen.block.dataset.folder]["first_masks_sha256"][job.unit.sequence]
-    frames = min(results.about["first_frames"], dataset.sequence(job.unit.sequence).frames)
-    return bool(committed == sequence_head_sha256(dataset, job.unit.sequence, frames))
+def _same_data(chosen: Chosen, job: Job, dataset: AnyDataset, results: Results) -> bool:
+    committed = first_sha256(results.about["datasets"][chosen.block.dataset.folder])[job.unit.sequence]
+    found = sheet_of(job.settings.task).describe(dataset, results.about["first_frames"])
+    return bool(committed == found["first_sha256"][job.unit.sequence])
+
+
+def first_sha256(dataset: dict[str, Any]) -> dict[str, str]:
+    """Sequence to the hash of its first frames, as a table keeps it of a dataset."""
+    # Tables made before there was another task than that of masks have the older name.
+    hashes: dict[str, str] = dataset.get("first_sha256") or dataset["first_masks_sha256"]
+    return hashes

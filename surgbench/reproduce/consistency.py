@@ -8,10 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from surgbench.report.records import PER_ARM
-from surgbench.report.rows import ERRORS, Row
-from surgbench.reproduce.markdown import markdown
+from surgbench.report.rows import Row
 from surgbench.reproduce.results import LEADERBOARD_CSV, LEADERBOARD_MD, RECORDS_JSON, SEQUENCES_CSV, Results
+from surgbench.reproduce.sheet import Sheet, sheet_of
 from surgbench.reproduce.table import Definition
 
 # Of a mean that was summed in another order, and of six digits.
@@ -27,38 +26,41 @@ def inconsistencies(definition: Definition, results: Results, folder: Path) -> l
         folder: Where they lie.
     """
     wanted = [row.id for _, row in definition.table.rows()]
-    there = [row["row_id"] for row in results.rows]
+    sheet = sheet_of(definition.table.task)
+    # Of a row's subsets of the samples, the one that has all of them.
+    rows = [row for row in results.rows if row.get("subset", "all") == "all"]
+    there = [row["row_id"] for row in rows]
     if wanted != there:
         missing = [id_ for id_ in wanted if id_ not in there] or [id_ for id_ in there if id_ not in wanted]
         return [f"{LEADERBOARD_CSV}: other rows than the table's definition ({', '.join(missing) or 'another order'})"]
     problems = []
-    for row in results.rows:
+    for row in rows:
         own = [one for one in results.sequences if one["row_id"] == row["row_id"]]
-        problems += _row_problems(row, own)
+        problems += _row_problems(sheet, row, own)
     for one in results.sequences:
         key = f"{one['row_id']}/{one['unit']}/r{one['repeat']}"
         problems += _record_problems(key, one, results.about["records"].get(key))
     page = folder / LEADERBOARD_MD
-    if not page.is_file() or page.read_text(encoding="utf-8") != markdown(definition, results):
+    if not page.is_file() or page.read_text(encoding="utf-8") != sheet.page(definition, results):
         problems.append(f"{LEADERBOARD_MD}: not what the other files and the table's definition give (see --render)")
     return problems
 
 
-def _row_problems(row: Row, sequences: list[Row]) -> list[str]:
+def _row_problems(sheet: Sheet, row: Row, sequences: list[Row]) -> list[str]:
     """A leaderboard row is made of its sequences' rows."""
     expected: dict[str, float | None] = {
         "sequences": len({one["unit"] for one in sequences}),
         "frames": sum(one["frames"] for one in sequences),
-        "lost_frames": sum(one["lost_frames"] for one in sequences),
+        **{count: sum(one[count] for one in sequences) for count in sheet.counts},
     }
-    for error in (*ERRORS, *PER_ARM):
+    for error in sheet.errors:
         means = [
             float(np.mean(values))
             for unit in sorted({one["unit"] for one in sequences})
             if (values := [one[error] for one in sequences if one["unit"] == unit and one[error] is not None])
         ]
         expected[error] = float(np.mean(means)) if means else None
-        if error not in PER_ARM:
+        if error not in sheet.whole:
             sem = float(np.std(means, ddof=1) / math.sqrt(len(means))) if len(means) > 1 else None
             expected[f"{error}_sem"] = sem
     return [

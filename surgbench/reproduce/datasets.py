@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-from surgbench.dataset.reader import Dataset
+from surgbench.dataset.open import AnyDataset, open_dataset
 from surgbench.reproduce.table import DatasetRequest
 
 
@@ -51,7 +51,7 @@ class MakeDataset(Protocol):
         """Have the dataset, or a part of it, whole in ``out`` afterwards."""
 
 
-def provide(request: DatasetRequest, part: PartRequest | None, data: Path, jobs: int, make: MakeDataset) -> Dataset:
+def provide(request: DatasetRequest, part: PartRequest | None, data: Path, jobs: int, make: MakeDataset) -> AnyDataset:
     """A dataset, made first where it is not there.
 
     Args:
@@ -65,4 +65,4 @@ def provide(request: DatasetRequest, part: PartRequest | None, data: Path, jobs:
     if part is not None:
         folder += f"-part-{'-'.join(part.sequences)}-{part.frames}"
     make(request, part, data / folder, jobs)
-    return Dataset.open(data / folder)
+    return open_dataset(data / folder)

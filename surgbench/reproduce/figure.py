@@ -6,7 +6,7 @@ import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+FIGURE_PNG = "figure.png"
 # Okabe and Ito's, apart for colour-blind eyes too; different dashes where printed in grey.
 COLOURS = ("#E69F00", "#CC79A7", "#56B4E9", "#0072B2", "#D55E00")
 TRUTH_COLOUR = "black"
@@ -91,7 +92,8 @@ def draw(table: Table, blocks: Sequence[BlockWork], out: Path, path: Path) -> bo
     if not lines:
         return False
     buffer = io.BytesIO()
-    _figure(work.dataset, table.figure, lines).savefig(buffer, format="png", dpi=130, metadata={"Software": None})
+    figure = _figure(cast(Dataset, work.dataset), table.figure, lines)
+    figure.savefig(buffer, format="png", dpi=130, metadata={"Software": None})
     write_atomic(path, buffer.getvalue())
     return True
 
@@ -103,7 +105,7 @@ def _lines(work: BlockWork, figure: Picture, out: Path) -> list[Line]:
         for job in by_id[id_].jobs:
             if job.unit.id == figure.unit and job.repeat == 0:
                 record = read_record(out / RECORDS / job.path)
-                if record is not None and record.frames.state:
+                if isinstance(record, Record) and record.frames.state:
                     lines.append(Line(by_id[id_].row.label, record))
     return lines
 

@@ -13,7 +13,10 @@ from surgbench.files import canonical_json, sha256_text
 from surgbench.geometry import FloatArray
 from surgbench.metrics import POSE_ERRORS
 
-HEAD_ERRORS = (*POSE_ERRORS, "mask_error", "mask_error_true")
+HEAD_ERRORS = (
+    *(*POSE_ERRORS, "mask_error", "mask_error_true"),
+    *("vva_deg", "fd_mm", "pf_deg", "an_deg", "pn_mm", "vva_true_deg"),
+)
 # What differs from machine to machine, or from one run to the next, though the estimates are the same.
 _VOLATILE = ("environment", "dataset_path", "references", "initialise_s", "traceback")
 _VOLATILE_FRAMES = "latency_"
@@ -35,11 +38,12 @@ def head(record: dict[str, Any], frames: int) -> dict[str, Any]:
         frames: How many frames at most.
 
     Returns:
-        ``frames`` (how many there are), ``states_sha256`` (of the estimates as little-endian float64, frame by frame),
-        ``last`` (the last of these states), ``errors`` (``HEAD_ERRORS`` to mean and standard deviation over the
-        frames, to six digits; without those that the record has not).
+        ``frames`` (how many there are), ``states_sha256`` (of the estimates, or a controller's set points, as
+        little-endian float64, frame by frame), ``last`` (the last of these), ``errors`` (``HEAD_ERRORS`` to mean and
+        standard deviation over the frames, to six digits; without those that the record has not).
     """
-    states = np.array((record["frames"] or {}).get("state", []), dtype="<f8")[:frames]
+    found = record["frames"] or {}
+    states = np.array(found.get("state", found.get("setpoint", [])), dtype="<f8")[:frames]
     errors = {}
     for name in HEAD_ERRORS:
         values = np.array((record["errors"] or {}).get(name) or [], dtype=np.float64)[:frames]

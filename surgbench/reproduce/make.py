@@ -7,15 +7,11 @@ from pathlib import Path
 from surgbench.errors import SurgbenchError
 from surgbench.files import write_atomic
 from surgbench.reproduce.datasets import MakeDataset, Watcher
-from surgbench.reproduce.figure import check_matplotlib, draw
-from surgbench.reproduce.markdown import markdown
+from surgbench.reproduce.figure import FIGURE_PNG, check_matplotlib
 from surgbench.reproduce.results import (
-    FIGURE_PNG,
-    LEADERBOARD_COLUMNS,
     LEADERBOARD_CSV,
     LEADERBOARD_MD,
     RECORDS_JSON,
-    SEQUENCE_COLUMNS,
     SEQUENCES_CSV,
     Results,
     csv_text,
@@ -23,6 +19,7 @@ from surgbench.reproduce.results import (
     json_text,
     read_results,
 )
+from surgbench.reproduce.sheet import sheet_of
 from surgbench.reproduce.table import Definition
 from surgbench.reproduce.work import do_work
 
@@ -62,12 +59,13 @@ def reproduce(
     folder = table_folder(definition, out, quick)
     blocks, failures = do_work(definition, folder, data, jobs, quick, make, watcher)
     results = derive(definition, blocks, folder, quick)
-    results.about["figure"] = with_figure and draw(definition.table, blocks, folder, folder / FIGURE_PNG)
+    sheet = sheet_of(definition.table.task)
+    results.about["figure"] = bool(with_figure and sheet.draw(definition, blocks, folder))
     texts = {
-        LEADERBOARD_CSV: csv_text(results.rows, LEADERBOARD_COLUMNS),
-        SEQUENCES_CSV: csv_text(results.sequences, SEQUENCE_COLUMNS),
+        LEADERBOARD_CSV: csv_text(results.rows, sheet.leaderboard),
+        SEQUENCES_CSV: csv_text(results.sequences, sheet.sequences),
         RECORDS_JSON: json_text(results.about),
-        LEADERBOARD_MD: markdown(definition, results),
+        LEADERBOARD_MD: sheet.page(definition, results),
     }
     for name, text in texts.items():
         _write(folder / name, text)
@@ -80,7 +78,7 @@ def render(definition: Definition, folder: Path) -> Path:
     Raises:
         SurgbenchError: The files are not there or damaged, or it cannot be written.
     """
-    _write(folder / LEADERBOARD_MD, markdown(definition, read_results(folder)))
+    _write(folder / LEADERBOARD_MD, sheet_of(definition.table.task).page(definition, read_results(folder)))
     return folder / LEADERBOARD_MD
 
 

@@ -7,8 +7,9 @@ from typing import Any
 
 from surgbench.report.rows import Row
 from surgbench.reproduce.compare import ABOVE_FLOOR, ALL, TIME, TIPS, Comparison, Measure, compare
+from surgbench.reproduce.figure import FIGURE_PNG
 from surgbench.reproduce.published import Published
-from surgbench.reproduce.results import FIGURE_PNG, Results
+from surgbench.reproduce.results import Results
 from surgbench.reproduce.table import Block, Definition, Table
 
 QUICK_WARNING = "A quick run: a few frames of a few sequences, **not to be quoted**."

@@ -10,28 +10,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from surgbench.errors import DatasetError
 from surgbench.files import canonical_json
-from surgbench.report.records import PER_ARM, Record, read_record
-from surgbench.report.rows import COMMON_COLUMNS, ERRORS, INSTRUMENT_COLUMNS, SETTING_COLUMNS, Row, derive_rows
-from surgbench.reproduce.difficulty import difficulty
-from surgbench.reproduce.fingerprint import head, record_sha256, sequence_head_sha256
+from surgbench.report.records import AnyRecord, read_record
+from surgbench.report.rows import Row, derive_rows
+from surgbench.reproduce.fingerprint import head, record_sha256
+from surgbench.reproduce.sheet import sheet_of
 from surgbench.reproduce.table import Definition
 from surgbench.reproduce.work import RECORDS, TIMING, BlockWork
 from surgbench.suite.plan import Job
 
 FORMAT = "surgbench-reproduction-1"
 LEADERBOARD_CSV, LEADERBOARD_MD = "leaderboard.csv", "leaderboard.md"
-SEQUENCES_CSV, RECORDS_JSON, FIGURE_PNG = "sequences.csv", "records.json", "figure.png"
-
-LATENCY_COLUMNS = tuple(column for column in INSTRUMENT_COLUMNS if column.startswith("latency_"))
-LEADERBOARD_COLUMNS = (*INSTRUMENT_COLUMNS, "block", "label")
-# No times: a rerun elsewhere writes the same file.
-SEQUENCE_COLUMNS = ("row_id", "block", "unit", "speed", "repeat", "status", "frames", *ERRORS, *PER_ARM, "lost_frames")
-_NUMBERS = {"sequences", "frames", "repeats", "coverage", "iterations", "views", "floor", "calibration_ratio"}
-_TEXT = {*COMMON_COLUMNS, *SETTING_COLUMNS, "block", "label", "unit", "speed"} - {*_NUMBERS, *LATENCY_COLUMNS}
+SEQUENCES_CSV, RECORDS_JSON = "sequences.csv", "records.json"
 
 
 @dataclass(frozen=True)
@@ -39,8 +30,8 @@ class Results:
     """What is known of a table.
 
     Attributes:
-        rows: With the keys ``LEADERBOARD_COLUMNS``, in the table's order.
-        sequences: With the keys ``SEQUENCE_COLUMNS``: each row's arms or pairs.
+        rows: With the columns of the task's :class:`~surgbench.reproduce.sheet.Sheet`, in the table's order.
+        sequences: Likewise: each row's arms, pairs or trials.
         about: Datasets, environments, and per record what is kept of it: the content of ``records.json``.
     """
 
@@ -62,6 +53,7 @@ def derive(definition: Definition, blocks: Sequence[BlockWork], out: Path, quick
         DatasetError: A record is damaged or missing.
     """
     frames = definition.table.check.frames
+    sheet = sheet_of(definition.table.task)
     rows: list[Row] = []
     sequences: list[Row] = []
     records: dict[str, Any] = {}
@@ -75,17 +67,13 @@ def derive(definition: Definition, blocks: Sequence[BlockWork], out: Path, quick
             "sha256": work.dataset.hash,
             "sequences": len(work.dataset.sequences),
             "frames": sum(sequence.frames for sequence in work.dataset.sequences),
-            "difficulty": difficulty(work.dataset),
-            "first_masks_sha256": {
-                sequence.id: sequence_head_sha256(work.dataset, sequence.id, min(frames, sequence.frames))
-                for sequence in work.dataset.sequences
-            },
+            **sheet.describe(work.dataset, frames),
         }
         for one in work.rows:
             read = []
             for record, content in _read(out / RECORDS, one.jobs):
                 read.append(record)
-                sequences.append(_sequence_row(work, record))
+                sequences.append(sheet.sequence_row(work.block.name, work.dataset, record))
                 key = f"{one.row.id}/{record.spec.unit}/r{record.spec.repeat}"
                 records[key] = {
                     "status": record.status,
@@ -94,16 +82,15 @@ def derive(definition: Definition, blocks: Sequence[BlockWork], out: Path, quick
                     "head": head(content, frames),
                 }
                 _count(made_in, content)
-            row = derive_rows(read)[0]
-            row |= {"block": work.block.name, "label": one.row.label}
             timing = [record for record, content in _read(out / TIMING, one.timing) if _count(timed_in, content)]
-            if timing:
-                timed = derive_rows(timing)[0]
-                row |= {column: timed[column] for column in LATENCY_COLUMNS}
-            rows.append(row)
+            timed = derive_rows(timing)[0] if timing else {}
+            latencies = {column: timed[column] for column in sheet.latencies if timed}
+            for row in derive_rows(read):
+                rows.append({**row, "block": work.block.name, "label": one.row.label, **latencies})
     about = {
         "format": FORMAT,
         "table": definition.name,
+        "task": definition.table.task,
         "table_sha256": definition.sha256,
         "quick": quick,
         "first_frames": frames,
@@ -115,7 +102,7 @@ def derive(definition: Definition, blocks: Sequence[BlockWork], out: Path, quick
     return Results(rows, sequences, about)
 
 
-def _read(folder: Path, jobs: Iterable[Job]) -> Iterator[tuple[Record, dict[str, Any]]]:
+def _read(folder: Path, jobs: Iterable[Job]) -> Iterator[tuple[AnyRecord, dict[str, Any]]]:
     """One at a time: a whole table's records do not fit into memory comfortably."""
     for job in jobs:
         path = folder / job.path
@@ -132,28 +119,10 @@ def _count(environments: dict[str, dict[str, Any]], record: dict[str, Any]) -> b
     return True
 
 
-def _sequence_row(work: BlockWork, record: Record) -> Row:
-    row: Row = {
-        "row_id": record.spec.row_id,
-        "block": work.block.name,
-        "unit": record.spec.unit,
-        "speed": work.dataset.sequence(record.spec.sequence).speed,
-        "repeat": record.spec.repeat,
-        "status": record.status,
-        "frames": len(record.frames.index),
-        "lost_frames": sum(record.frames.lost),
-    }
-    for error in (*ERRORS, *PER_ARM):
-        values = record.errors.get(error, np.array([]))
-        values = values[~np.isnan(values)]
-        row[error] = float(values.mean()) if values.size else None
-    return row
-
-
 def csv_text(rows: Sequence[Row], columns: Sequence[str]) -> str:
     """CSV with every digit; empty cells for missing values."""
     out = io.StringIO()
-    writer = csv.DictWriter(out, columns, lineterminator="\n")
+    writer = csv.DictWriter(out, columns, lineterminator="\n", extrasaction="ignore")
     writer.writeheader()
     writer.writerows(rows)
     return out.getvalue()
@@ -179,9 +148,10 @@ def read_results(folder: Path) -> Results:
         if about["format"] != FORMAT or not isinstance(about["records"], dict):
             raise ValueError(f"not of the format {FORMAT}")
         path = folder / LEADERBOARD_CSV
-        rows = _read_csv(path, LEADERBOARD_COLUMNS)
+        sheet = sheet_of(about.get("task", "instrument"))
+        rows = _read_csv(path, sheet.leaderboard, sheet.text)
         path = folder / SEQUENCES_CSV
-        return Results(rows, _read_csv(path, SEQUENCE_COLUMNS), about)
+        return Results(rows, _read_csv(path, sheet.sequences, sheet.text), about)
     except FileNotFoundError:
         raise DatasetError(f"{path}: missing; a reproduced table is a folder with this file") from None
     except OSError as error:
@@ -190,18 +160,16 @@ def read_results(folder: Path) -> Results:
         raise DatasetError(f"{path}: damaged ({error})") from None
 
 
-def _read_csv(path: Path, columns: Sequence[str]) -> list[Row]:
+def _read_csv(path: Path, columns: Sequence[str], text: frozenset[str]) -> list[Row]:
     lines = csv.DictReader(io.StringIO(path.read_text(encoding="utf-8")))
     if tuple(lines.fieldnames or ()) != tuple(columns):
         raise ValueError("other columns than this version of surgbench writes")
-    return [{key: _value(key, cell) for key, cell in line.items()} for line in lines]
+    return [{key: cell or None if key in text else _value(cell) for key, cell in line.items()} for line in lines]
 
 
-def _value(key: str, cell: str) -> Any:
+def _value(cell: str) -> Any:
     if cell == "":
         return None
-    if key in _TEXT:
-        return cell
     if cell in ("True", "False"):
         return cell == "True"
     try:

@@ -6,7 +6,7 @@ import hashlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
@@ -154,6 +154,7 @@ class Table(_Part):
 
     Attributes:
         title: Heading.
+        task: What its trackers do.
         note: What holds for all blocks.
         published: Name of the file with the published figures, where there are any.
         quick: Fixed small share.
@@ -164,6 +165,7 @@ class Table(_Part):
     """
 
     title: str
+    task: Literal["instrument", "viewpoint"] = "instrument"
     note: str = ""
     published: str | None = None
     quick: Share

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from surgbench.dataset.reader import Dataset
+from surgbench.dataset.open import AnyDataset
 from surgbench.report.records import SKIPPED
 from surgbench.reproduce.datasets import MakeDataset, PartRequest, Watcher, provide
 from surgbench.reproduce.table import Block, Definition, Table, TableRow, Timing
@@ -40,11 +40,11 @@ class BlockWork:
     """One block's runs, on its dataset."""
 
     block: Block
-    dataset: Dataset
+    dataset: AnyDataset
     rows: tuple[RowWork, ...]
 
 
-def plan_block(table: Table, block: Block, dataset: Dataset, quick: bool) -> BlockWork:
+def plan_block(table: Table, block: Block, dataset: AnyDataset, quick: bool) -> BlockWork:
     """What is to be run for a block.
 
     Raises:

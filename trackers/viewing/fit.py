@@ -194,7 +194,7 @@ def fit(
     r_try, J_try = np.empty(RESIDUALS), np.empty((RESIDUALS, 6))
     A, b, held = np.empty((6, 6)), np.empty(6), np.empty(6, dtype=np.bool_)
     trial = np.empty(6)
-    cost = residuals(arm, reach_m, joints, feature, distance_m, wanted, rules, faces, weights, r, J)
+    cost: float = residuals(arm, reach_m, joints, feature, distance_m, wanted, rules, faces, weights, r, J)
     damping = 1e-4
     for _ in range(iterations):
         for row in range(6):

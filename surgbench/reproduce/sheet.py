@@ -1,0 +1,106 @@
+"""What of a reproduced table depends on its task: columns, what is said of datasets, page and figures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from surgbench.report.records import AnyRecord
+from surgbench.report.rows import COMMON_COLUMNS, Row
+
+if TYPE_CHECKING:
+    from surgbench.dataset.open import AnyDataset
+    from surgbench.reproduce.results import Results
+    from surgbench.reproduce.table import Definition
+    from surgbench.reproduce.work import BlockWork
+
+_NUMBERS = frozenset({"sequences", "frames", "repeats", "coverage", "calibration_ratio"})
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """One task's part in tables.
+
+    Attributes:
+        columns: Of the leaderboard, without block and label.
+        settings: Those of them which hold text.
+        errors: Whose means over a sequence are kept, and of them a row's.
+        whole: Those of them that are one value for all frames, and have no spread.
+        counts: Counted over a sequence.
+        traits: Of a sequence, text.
+        no_difference: Error to what nobody would call a difference in its mean.
+        traits_of: A dataset's sequence to its traits.
+        count: A record to its counts.
+        describe: A dataset, and how many frames of each sequence are meant by first, to what is kept of it: at least
+            ``first_sha256``, sequence to a hash of these frames.
+        page: The Markdown page.
+        draw: The figures that go into the table's folder; their names, none where nothing can be drawn.
+    """
+
+    columns: tuple[str, ...]
+    settings: frozenset[str]
+    errors: tuple[str, ...]
+    whole: tuple[str, ...]
+    counts: tuple[str, ...]
+    traits: tuple[str, ...]
+    no_difference: dict[str, float]
+    traits_of: Callable[[Any, str], Row]
+    count: Callable[[Any], Row]
+    describe: Callable[[Any, int], dict[str, Any]]
+    page: Callable[[Definition, Results], str]
+    draw: Callable[[Definition, Sequence[BlockWork], Path], list[str]]
+
+    @property
+    def leaderboard(self) -> tuple[str, ...]:
+        """Columns of ``leaderboard.csv``."""
+        return (*self.columns, "block", "label")
+
+    @property
+    def sequences(self) -> tuple[str, ...]:
+        """Columns of ``sequences.csv``: no times, so that a rerun elsewhere writes the same file."""
+        head = ("row_id", "block", "unit", *self.traits, "repeat", "status", "frames")
+        return (*head, *self.errors, *self.counts)
+
+    @property
+    def latencies(self) -> tuple[str, ...]:
+        """Columns that are measured one run at a time."""
+        return tuple(column for column in self.columns if column.startswith("latency_"))
+
+    @property
+    def text(self) -> frozenset[str]:
+        """Columns that hold text."""
+        own = {*self.settings, *self.traits, "block", "label", "unit"}
+        return frozenset({*COMMON_COLUMNS, *own} - _NUMBERS - set(self.latencies))
+
+    def sequence_row(self, block: str, dataset: AnyDataset, record: AnyRecord) -> Row:
+        """A record's line of ``sequences.csv``."""
+        import numpy as np
+
+        row: Row = {
+            "row_id": record.spec.row_id,
+            "block": block,
+            "unit": record.spec.unit,
+            **self.traits_of(dataset, record.spec.sequence),
+            "repeat": record.spec.repeat,
+            "status": record.status,
+            "frames": len(record.frames.index),
+            **self.count(record),
+        }
+        for error in self.errors:
+            values = record.errors.get(error, np.array([]))
+            values = values[~np.isnan(values)]
+            row[error] = float(values.mean()) if values.size else None
+        return row
+
+
+def sheet_of(task: str) -> Sheet:
+    """The sheet of a task."""
+    if task == "viewpoint":
+        from surgbench.viewpoint.sheet import VIEWPOINT_SHEET
+
+        return VIEWPOINT_SHEET
+    from surgbench.reproduce.instrument_sheet import INSTRUMENT_SHEET
+
+    return INSTRUMENT_SHEET
