@@ -24,12 +24,17 @@ import yaml
 
 from surgbench import __version__
 from surgbench.camera import Camera
+from surgbench.change_of_view import ChangeOfView
 from surgbench.dataset import tables
 from surgbench.dataset.format import (
     ARMS,
+    AUXILIARY_CONVENTION,
+    CONVENTIONS,
     FORMAT,
     MANIFEST_NAME,
     MARKER_NAME,
+    Arm,
+    AuxiliaryEntry,
     Manifest,
     MaskKind,
     SequenceEntry,
@@ -37,14 +42,17 @@ from surgbench.dataset.format import (
     instrument_folder,
     observations_path,
     observed_path,
+    poses_path,
     read_manifest,
     sequence_files,
     states_path,
+    view_folder,
 )
 from surgbench.dataset.masks import PNG_END, Mask, encode_mask
 from surgbench.dataset.storage import describe_files, storage_error
 from surgbench.errors import ConfigError, DatasetError, SurgbenchError, unknown_name
 from surgbench.files import PARTIAL_SUFFIX, write_atomic
+from surgbench.generators.auxiliary import AUXILIARY_CAMERA, ViewTables, camera_of
 from surgbench.generators.corruption import corrupt
 from surgbench.generators.lens import Lens
 from surgbench.generators.mismatch import NO_MISMATCH, real_camera, real_instrument
@@ -115,10 +123,15 @@ class Plan:
     @property
     def disk_bytes(self) -> int:
         """Disk that the whole dataset takes, an upper estimate."""
-        camera = self.preset.camera
+        camera, auxiliary = self.preset.camera, self.preset.auxiliary
         mask = _blocks(camera.width * camera.height * MASK_BYTES_PER_PIXEL) * 2 * len(KINDS)
+        numbers = TABLE_BYTES_PER_FRAME
+        if auxiliary is not None:
+            pixels, views = auxiliary.camera.width * auxiliary.camera.height, len(auxiliary.views)
+            mask += _blocks(pixels * MASK_BYTES_PER_PIXEL) * 2 * len(ARMS) * views
+            numbers += TABLE_BYTES_PER_FRAME * views
         files = len(self.paths)
-        return int(self.frames * (mask + TABLE_BYTES_PER_FRAME) + _blocks(files * MANIFEST_BYTES_PER_FILE))
+        return int(self.frames * (mask + numbers) + _blocks(files * MANIFEST_BYTES_PER_FILE))
 
 
 @dataclass(frozen=True)
@@ -129,11 +142,13 @@ class Chunk:
         entry: The sequence.
         start: First frame.
         states: ``(n, 2, 9)`` true states.
+        views: Auxiliary view and arm to ``(n, 4, 4)`` true T_view_cam.
     """
 
     entry: SequenceEntry
     start: int
     states: FloatArray
+    views: dict[tuple[str, Arm], FloatArray]
 
 
 def plan_dataset(preset: Preset, part: Part | None = None) -> Plan:
@@ -150,6 +165,8 @@ def plan_dataset(preset: Preset, part: Part | None = None) -> Plan:
     instrument = load_instrument(preset.instrument)
     fast = int(preset.pairs * preset.motion.fast_share)
     digits = max(3, len(str(preset.pairs - 1)))
+    views = () if preset.auxiliary is None else preset.auxiliary.views
+    auxiliary = AuxiliaryEntry(camera=AUXILIARY_CAMERA, kinds=ARMS, keypoints=True)
     sequences = tuple(
         SequenceEntry(
             id=f"{index:0{digits}d}",
@@ -163,6 +180,7 @@ def plan_dataset(preset: Preset, part: Part | None = None) -> Plan:
             keypoints=True,
             readings=True,
             truth=True,
+            auxiliary=dict.fromkeys(views, auxiliary),
         )
         for index in range(preset.pairs)
     )
@@ -429,28 +447,37 @@ def _collect(waiting: set[Future[int]], progress: Callable[[float], None]) -> se
 def _chunks(plan: Plan, out: Path, finished: list[SequenceEntry]) -> Iterator[Chunk]:
     """Write each sequence's tables and yield its frames; ``finished`` gets its part of the manifest."""
     for planned in plan.sequences:
-        entry, states = _write_tables(plan, out, planned)
+        entry, states, views = _write_tables(plan, out, planned)
         finished.append(entry)
         for start in range(0, entry.frames, CHUNK_FRAMES):
-            yield Chunk(entry, start, states[start : start + CHUNK_FRAMES])
+            part = slice(start, start + CHUNK_FRAMES)
+            poses = {(name, arm): view.T_view_cam[arm][part] for name, view in views.items() for arm in ARMS}
+            yield Chunk(entry, start, states[part], poses)
 
 
-def _write_tables(plan: Plan, out: Path, entry: SequenceEntry) -> tuple[SequenceEntry, FloatArray]:
-    """Write a sequence's observations and states.
+def _write_tables(
+    plan: Plan, out: Path, entry: SequenceEntry
+) -> tuple[SequenceEntry, FloatArray, dict[str, ViewTables]]:
+    """Write a sequence's observations, states, and poses of auxiliary views.
 
     Returns:
-        Its part of the manifest, now with the places of the arms' bases, and its ``(frames, 2, 9)`` states.
+        Its part of the manifest, now with the places of the arms' bases, its ``(frames, 2, 9)`` states, and its
+        auxiliary views.
     """
     # Of the whole sequence, also where a part of it is made: what moves or errs slowly depends on its length.
     whole = entry.model_copy(update={"frames": plan.preset.frames})
     made = make_tables(plan.preset, whole, plan.real_instrument, plan.real_camera).first(entry.frames)
     write_atomic(out / observations_path(entry.id), tables.encode_table(made.observed))
     write_atomic(out / states_path(entry.id), tables.encode_table(made.truth))
-    return entry.model_copy(update={"T_cam_base": made.T_cam_base}), made.states
+    for name, view in made.views.items():
+        folder = view_folder(entry.id, name)
+        write_atomic(out / observations_path(folder), tables.encode_table(view.observed))
+        write_atomic(out / poses_path(folder), tables.encode_table(view.truth))
+    return entry.model_copy(update={"T_cam_base": made.T_cam_base}), made.states, made.views
 
 
 class _Worker:
-    """Renders and corrupts frames; one Mitsuba scene per arm, kept over all frames.
+    """Renders and corrupts frames; one Mitsuba scene per camera and arm, kept over all frames.
 
     Args:
         plan: The job.
@@ -466,6 +493,9 @@ class _Worker:
         self._stop = stop
         self._lens = Lens(plan.real_camera)
         self._renderers = {arm: MaskRenderer([plan.real_instrument], self._lens.pinhole, threads) for arm in ARMS}
+        self._auxiliary = [
+            MaskRenderer([plan.real_instrument], camera, threads) for camera in camera_of(plan.preset).values()
+        ]
 
     def render(self, chunk: Chunk, progress: Callable[[float], None] = lambda frames: None) -> int:
         """Write a chunk's masks, those that are not there; returns its number of frames."""
@@ -473,6 +503,9 @@ class _Worker:
             if self._stop is not None and self._stop.value:
                 return offset
             self._frame(chunk.entry.id, chunk.start + offset, states)
+            for (view, arm), poses in chunk.views.items():
+                own = ChangeOfView(poses[offset]).states(states[ARMS.index(arm)])
+                self._auxiliary_frame(chunk.entry.id, view, chunk.start + offset, arm, own)
             progress(1)
         return len(chunk.states)
 
@@ -489,6 +522,17 @@ class _Worker:
             rng = generator(dataset=self.seed, sequence=sequence, frame=frame, kind=kind, purpose="corruption")
             write_atomic(self.out / clean, encode_mask(masks[kind]))
             write_atomic(self.out / observed, encode_mask(corrupt(masks[kind], self.settings, rng)))
+
+    def _auxiliary_frame(self, sequence: str, view: str, frame: int, arm: Arm, state: FloatArray) -> None:
+        folder = view_folder(sequence, view)
+        clean, observed = self.out / clean_mask_path(folder, arm, frame), self.out / observed_path(folder, arm, frame)
+        if _is_whole_png(clean) and _is_whole_png(observed):
+            return
+        mask = self._auxiliary[0].mask(state)
+        axes: dict[str, str | int] = {"sequence": sequence, "view": view, "frame": frame, "kind": arm}
+        rng = generator(dataset=self.seed, **axes, purpose="corruption")
+        write_atomic(clean, encode_mask(mask))
+        write_atomic(observed, encode_mask(corrupt(mask, self.settings, rng)))
 
 
 def _is_whole_png(path: Path) -> bool:
@@ -543,7 +587,8 @@ def _manifest(plan: Plan, out: Path, sequences: list[SequenceEntry]) -> Manifest
         origin="generated",
         seed=plan.preset.seed,
         configuration=_configuration(plan),
-        cameras={CAMERA_NAME: plan.preset.camera},
+        conventions=CONVENTIONS if plan.preset.auxiliary is None else CONVENTIONS | AUXILIARY_CONVENTION,
+        cameras={CAMERA_NAME: plan.preset.camera, **camera_of(plan.preset)},
         instruments={name: f"{instrument_folder(name)}/instrument.yaml"},
         sequences=tuple(sequences),
         files=describe_files(out, plan.paths),

@@ -5,12 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, SerializerFunctionWrapHandler, field_validator, model_serializer, model_validator
 
 from surgbench.camera import Camera
 from surgbench.config import SUFFIXES, Section, locate, parse_model, read_yaml
 from surgbench.errors import ConfigError, unknown_name
 from surgbench.generators.sections import (
+    Auxiliary,
     Correlation,
     Finite,
     Fraction,
@@ -242,6 +243,7 @@ class Preset(Section):
         readings: Errors of the joint readings.
         kinematics: Errors of the robot's reading of its tool pose.
         mismatch: How the real camera and instrument differ from those that are declared; not at all unless told.
+        auxiliary: Further cameras; none unless told.
     """
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
@@ -258,6 +260,12 @@ class Preset(Section):
     readings: Readings = Readings()
     kinematics: Kinematics = Kinematics()
     mismatch: Mismatch = Mismatch()
+    auxiliary: Auxiliary | None = None
+
+    @model_serializer(mode="wrap")
+    def _without_what_is_not_there(self, serialise: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        # So that the hash of a dataset without auxiliary views does not know of them.
+        return {key: value for key, value in serialise(self).items() if key != "auxiliary" or value is not None}
 
     @model_validator(mode="after")
     def _possible(self) -> Preset:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field, field_validator
 
+from surgbench.camera import Camera
 from surgbench.config import Section
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -47,6 +48,62 @@ class Kinematics(Section):
     stretch_m: NotNegative = 0.0005
     noise_rad: NotNegative = 0.0002
     noise_m: NotNegative = 0.00005
+
+
+# The left one of AutoCam's stereo pair at the size at which it is used (arXiv 2505.10398, published calibration). Masks
+# are those of its undistorted picture.
+AUTOCAM_CAMERA = Camera(width=512, height=384, fx=387.365, fy=385.763, cx=247.653, cy=187.991)
+AuxiliaryName = Literal["static", "naive"]
+
+
+class Auxiliary(Section):
+    """Further cameras that follow an instrument, each arm with cameras of its own.
+
+    The world's z axis points up, and the endoscope looks along its y axis and down. What a camera follows is a point in
+    the plane of the jaws, on the tool's z axis; the normal along which it is to be seen is the tool's y axis, as in
+    AutoCam (the jaws open along it), or x (they turn about it), in that sense of the two which is nearer to the camera
+    arm over the sequence.
+
+    Attributes:
+        camera: Of all views.
+        views: Which there are (``generators/auxiliary.py``).
+        endoscope_pitch_rad: How far below the horizon the endoscope looks.
+        feature_m: From the wrist's yaw axis to what is followed; the jaws' tips are at 9 mm.
+        normal: Axis of the tool frame.
+        distance_m: Wanted from camera to feature; d_t of AutoCam.
+        lag_s: Time constant of the view ``naive``.
+        calibration_rad: Standard deviation of what the reported T_view_cam is turned by over a whole sequence, each
+            component of a rotation vector in the view's frame. It is the same for all views of a sequence.
+        calibration_m: The same, each component of a translation.
+        jitter_rad: Standard deviation of what is new in every frame.
+        jitter_m: The same.
+    """
+
+    camera: Camera = AUTOCAM_CAMERA
+    views: Annotated[tuple[AuxiliaryName, ...], Field(min_length=1)] = ("static", "naive")
+    endoscope_pitch_rad: Annotated[float, Field(ge=0, lt=1.57)] = 0.7853981633974483
+    feature_m: Finite = 0.009
+    normal: Literal["x", "y"] = "y"
+    distance_m: Positive = 0.11
+    lag_s: NotNegative = 0.3
+    calibration_rad: NotNegative = 0.005235987755982988
+    calibration_m: NotNegative = 0.001
+    jitter_rad: NotNegative = 0.0
+    jitter_m: NotNegative = 0.0001
+
+    @field_validator("camera")
+    @classmethod
+    def _undistorted(cls, value: Camera) -> Camera:
+        if any(value.distortion):
+            raise ValueError("distortion must be left out or zero: masks are those of the undistorted picture")
+        return value
+
+    @field_validator("views")
+    @classmethod
+    def _once(cls, value: tuple[AuxiliaryName, ...]) -> tuple[AuxiliaryName, ...]:
+        if len(set(value)) < len(value):
+            raise ValueError("a view is named twice")
+        return value
 
 
 class Mismatch(Section):

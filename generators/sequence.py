@@ -9,6 +9,7 @@ import numpy as np
 from surgbench.camera import Camera
 from surgbench.dataset import tables
 from surgbench.dataset.format import Arm, SequenceEntry
+from surgbench.generators.auxiliary import ViewTables, make_views
 from surgbench.generators.observations import observe_arm, observe_free_tool, observe_joints, observe_keypoints
 from surgbench.generators.presets import Preset
 from surgbench.generators.trajectories import make_motion
@@ -26,18 +27,21 @@ class SequenceTables:
         observed: Columns of ``observations.parquet``.
         truth: Columns of ``states.parquet``.
         T_cam_base: Nominal place of each arm's base, ``(4, 4)`` row by row.
+        views: Those of the auxiliary views.
     """
 
     states: FloatArray
     observed: dict[str, FloatArray]
     truth: dict[str, FloatArray]
     T_cam_base: dict[Arm, tuple[float, ...]]
+    views: dict[str, ViewTables]
 
     def first(self, frames: int) -> SequenceTables:
         """The same of the first frames alone."""
         observed = {name: values[:frames] for name, values in self.observed.items()}
         truth = {name: values[:frames] for name, values in self.truth.items()}
-        return SequenceTables(self.states[:frames], observed, truth, self.T_cam_base)
+        views = {name: view.first(frames) for name, view in self.views.items()}
+        return SequenceTables(self.states[:frames], observed, truth, self.T_cam_base, views)
 
 
 def make_tables(preset: Preset, entry: SequenceEntry, instrument: Instrument, camera: Camera) -> SequenceTables:
@@ -77,12 +81,8 @@ def make_tables(preset: Preset, entry: SequenceEntry, instrument: Instrument, ca
         observed |= _columns(arm, tables.KINEMATICS_COLUMNS, np.hstack(poses))
         bases[arm] = tuple(tool.T_cam_base.ravel().tolist())
         truth |= _columns(arm, tables.STATE_COLUMNS, own)
-    first = slice(entry.frames)
-    return SequenceTables(motion.states[first], _rows(observed, first), _rows(truth, first), bases)
-
-
-def _rows(columns: dict[str, FloatArray], rows: slice) -> dict[str, FloatArray]:
-    return {name: values[rows] for name, values in columns.items()}
+    views = make_views(preset, entry.id, motion.states, instrument)
+    return SequenceTables(motion.states, observed, truth, bases, views).first(entry.frames)
 
 
 def _columns(arm: Arm, names: tuple[str, ...], values: FloatArray) -> dict[str, FloatArray]:

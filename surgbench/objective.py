@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import functools
+import operator
 from functools import cached_property
 from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-from surgbench.contract import Observation, Scene
+from surgbench.camera import Camera
+from surgbench.change_of_view import ChangeOfView
+from surgbench.contract import Observation, Scene, View
 from surgbench.geometry import FloatArray
 from surgbench.silhouette import KeypointProjector, Reference, SilhouetteEvaluator, iou
 
@@ -88,8 +93,7 @@ def keypoint_slope(observed_px: FloatArray, projected_px: FloatArray, tolerance_
     return np.asarray(direction(np.where(nearer, straight, swapped)) + direction(centre) / 2)
 
 
-def _evaluator(scene: Scene) -> SilhouetteEvaluator | TorchSilhouetteEvaluator:
-    camera = scene.views[0].camera
+def _evaluator(scene: Scene, camera: Camera) -> SilhouetteEvaluator | TorchSilhouetteEvaluator:
     if scene.device == "cpu":
         return SilhouetteEvaluator(scene.instruments, camera)
     from surgbench.silhouette.torch_evaluator import TorchSilhouetteEvaluator
@@ -97,12 +101,100 @@ def _evaluator(scene: Scene) -> SilhouetteEvaluator | TorchSilhouetteEvaluator:
     return TorchSilhouetteEvaluator(scene.instruments, camera, device=scene.device)
 
 
-class Objective:
-    """Scores candidate states against one frame at a time.
+class ViewLoss:
+    """The terms of one view. States are given, and derivatives returned, in the reference camera's frame.
 
     Args:
-        scene: Instruments, reference camera, and the device to score on.
+        scene: Instruments, and the device to score on.
+        camera: The view's.
         weights: Of the terms.
+
+    Attributes:
+        evaluator: Counts silhouettes of states of the view's own frame.
+        appearance: lambda_app of eq. 6.
+    """
+
+    def __init__(self, scene: Scene, camera: Camera, weights: LossWeights) -> None:
+        self.camera = camera
+        self.evaluator = _evaluator(scene, camera)
+        self._instruments = scene.instruments
+        self._projector = KeypointProjector(scene.instruments, camera)
+        pixels = camera.width * camera.height
+        self.appearance = weights.appearance * pixels
+        self._keypoints = weights.keypoints * pixels
+        self._tolerance_px = weights.keypoint_tolerance_px
+        self._reference: Reference | None = None
+        self._observed: tuple[FloatArray | None, ...] = ()
+        self.change = ChangeOfView(np.eye(4))
+
+    def observe(self, view: View) -> None:
+        """Take the frame that the next calls score against."""
+        self._reference = Reference(view.mask)
+        self._observed = view.keypoints
+        self.change = ChangeOfView(view.T_view_cam)
+
+    @property
+    def reference(self) -> Reference:
+        """The observed mask.
+
+        Raises:
+            RuntimeError: No frame has been observed.
+        """
+        if self._reference is None:
+            raise RuntimeError("observe a frame before scoring candidates")
+        return self._reference
+
+    @property
+    def has_keypoints(self) -> bool:
+        """Whether keypoints were seen, and weigh anything."""
+        return self._keypoints > 0 and any(observed is not None for observed in self._observed)
+
+    def mismatch(self, states: FloatArray) -> tuple[FloatArray, NDArray[np.int64], NDArray[np.int64]]:
+        """Eq. 6 of ``(n, 9 * arms)`` states, pixels; and how many pixels they cover, and cover of the mask."""
+        observed = self.reference.area
+        area, overlap = self.evaluator.sum_over(self.change.states(states), self.reference)
+        loss = area + observed - 2 * overlap + self.appearance * np.abs(area - observed)
+        return np.asarray(loss, dtype=np.float64), area, overlap
+
+    def keypoints(self, states: FloatArray) -> list[FloatArray]:
+        """Eq. 8 with its weight, ``(n,)`` pixels for each arm whose tips were seen."""
+        tips = self._projector.project(self.change.states(states))
+        return [
+            self._keypoints * keypoint_loss(observed, tips[:, arm], self._tolerance_px)
+            for arm, observed in enumerate(self._observed)
+            if observed is not None
+        ]
+
+    def keypoints_gradient(self, states: FloatArray) -> FloatArray:
+        """Derivative of the sum of :meth:`keypoints`, ``(n, 9 * arms)``."""
+        own = self.change.states(states)
+        tips = self._projector.project(own)
+        forces = np.zeros_like(tips)
+        for arm, observed in enumerate(self._observed):
+            if observed is not None:
+                forces[:, arm] = keypoint_slope(observed, tips[:, arm], self._tolerance_px)
+        return self.change.pull_back(states, self._keypoints * self._projector.pull_back(own, forces))
+
+    @cached_property
+    def differentiable(self) -> SilhouetteEvaluator:
+        """An evaluator on the CPU."""
+        if isinstance(self.evaluator, SilhouetteEvaluator):
+            return self.evaluator
+        return SilhouetteEvaluator(self._instruments, self.camera)
+
+
+class Objective:
+    """Scores candidate states against one frame at a time, in all of its views together.
+
+    The loss is the sum of every view's eq. 5, in pixels of that view. The overlap is the intersection in all views over
+    the union in all views.
+
+    Args:
+        scene: Instruments, cameras, and the device to score on.
+        weights: Of the terms.
+
+    Attributes:
+        views: The terms of each view, in the scene's order.
 
     Raises:
         ConfigError: The scene's device is not there.
@@ -110,33 +202,28 @@ class Objective:
 
     def __init__(self, scene: Scene, weights: LossWeights) -> None:
         self.scene = scene
-        self.camera = scene.views[0].camera
-        self.evaluator = _evaluator(scene)
-        self._projector = KeypointProjector(scene.instruments, self.camera)
-        pixels = self.camera.width * self.camera.height
-        self._appearance = weights.appearance * pixels
-        self._keypoints = weights.keypoints * pixels
-        self._tolerance_px = weights.keypoint_tolerance_px
-        self._reference: Reference | None = None
-        self._observed: tuple[FloatArray | None, ...] = ()
+        self.views = tuple(ViewLoss(scene, view.camera, weights) for view in scene.views)
+        self.camera = self.views[0].camera
+        self.evaluator = self.views[0].evaluator
 
     def observe(self, observation: Observation) -> None:
-        """Take the frame that the next calls score against."""
-        view = observation.views[0]
-        self._reference = Reference(view.mask)
-        self._observed = view.keypoints
+        """Take the frame that the next calls score against.
+
+        Raises:
+            ValueError: It has not the scene's number of views.
+        """
+        for own, view in zip(self.views, observation.views, strict=True):
+            own.observe(view)
 
     def mismatch(self, states: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """The rendering loss (eq. 6) of ``(n, 9 * arms)`` states, pixels, and their overlap with the mask.
+        """The rendering loss (eq. 6) of ``(n, 9 * arms)`` states, pixels, and their overlap with the masks.
 
         Raises:
             RuntimeError: No frame has been observed.
         """
-        reference = self._seen()
-        area, overlap = self.evaluator.sum_over(states, reference)
-        observed = reference.area
-        loss = area + observed - 2 * overlap + self._appearance * np.abs(area - observed)
-        return np.asarray(loss, dtype=np.float64), iou(area, overlap, observed)
+        parts = [view.mismatch(states) for view in self.views]
+        loss, area, overlap = (functools.reduce(operator.add, one) for one in zip(*parts, strict=True))
+        return loss, iou(area, overlap, sum(view.reference.area for view in self.views))
 
     def __call__(self, states: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Losses and overlaps of candidates (eq. 5 and 15).
@@ -145,17 +232,16 @@ class Objective:
             states: ``(n, 9 * arms)``.
 
         Returns:
-            ``(n,)`` losses in pixels and ``(n,)`` intersection over union with the observed mask.
+            ``(n,)`` losses in pixels and ``(n,)`` intersection over union with the observed masks.
 
         Raises:
             RuntimeError: No frame has been observed.
         """
         loss, overlap = self.mismatch(states)
-        if self._keypoints > 0 and any(observed is not None for observed in self._observed):
-            tips = self._projector.project(states)
-            for arm, observed in enumerate(self._observed):
-                if observed is not None:
-                    loss = loss + self._keypoints * keypoint_loss(observed, tips[:, arm], self._tolerance_px)
+        for view in self.views:
+            if view.has_keypoints:
+                for part in view.keypoints(states):
+                    loss = loss + part
         return loss, overlap
 
     def gradient(self, states: FloatArray) -> FloatArray:
@@ -173,13 +259,9 @@ class Objective:
             RuntimeError: No frame has been observed.
         """
         gradient = self.mismatch_gradient(states)
-        if self._keypoints > 0 and any(observed is not None for observed in self._observed):
-            tips = self._projector.project(states)
-            forces = np.zeros_like(tips)
-            for arm, observed in enumerate(self._observed):
-                if observed is not None:
-                    forces[:, arm] = keypoint_slope(observed, tips[:, arm], self._tolerance_px)
-            gradient = gradient + self._keypoints * self._projector.pull_back(states, forces)
+        for view in self.views:
+            if view.has_keypoints:
+                gradient = gradient + view.keypoints_gradient(states)
         return gradient
 
     def mismatch_gradient(self, states: FloatArray) -> FloatArray:
@@ -188,20 +270,18 @@ class Objective:
         Raises:
             RuntimeError: No frame has been observed.
         """
-        reference = self._seen()
-        area, _ = self.evaluator.sum_over(states, reference)
-        slope = self._differentiable.gradient(states, reference)
+        parts = [
+            view.change.pull_back(states, self._view_gradient(place, view.change.states(states)))
+            for place, view in enumerate(self.views)
+        ]
+        return functools.reduce(operator.add, parts)
+
+    def _view_gradient(self, place: int, states: FloatArray) -> FloatArray:
+        """Derivative of one view's eq. 6 with respect to states of that view's own frame."""
+        view = self.views[place]
+        reference = view.reference
+        area, _ = view.evaluator.sum_over(states, reference)
+        slope = view.differentiable.gradient(states, reference)
         excess = np.sign(area - reference.area)[:, None]
-        gradient: FloatArray = slope.area - 2 * slope.overlap + self._appearance * excess * slope.area
+        gradient: FloatArray = slope.area - 2 * slope.overlap + view.appearance * excess * slope.area
         return gradient
-
-    def _seen(self) -> Reference:
-        if self._reference is None:
-            raise RuntimeError("observe a frame before scoring candidates")
-        return self._reference
-
-    @cached_property
-    def _differentiable(self) -> SilhouetteEvaluator:
-        if isinstance(self.evaluator, SilhouetteEvaluator):
-            return self.evaluator
-        return SilhouetteEvaluator(self.scene.instruments, self.camera)

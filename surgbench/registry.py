@@ -41,6 +41,7 @@ GROUPS: dict[Kind, str] = {
 }
 # Names become names of files.
 NAME_PATTERN = r"[A-Za-z0-9][A-Za-z0-9._-]*"
+TASKS = ("instrument", "viewpoint")
 METHODS: dict[Kind, tuple[str, ...]] = {
     "tracker": ("reset", "step"),
     "initialiser": ("initialise",),
@@ -64,6 +65,11 @@ class Found:
     source: str
     cls: type | None
     problem: str | None = None
+
+    @property
+    def task(self) -> str:
+        """What it works on: ``"instrument"`` unless its class has a ``task``."""
+        return str(getattr(self.cls, "task", "instrument"))
 
     @property
     def hash(self) -> str:
@@ -135,6 +141,8 @@ def _checked(cls: Any, kind: Kind, source: str) -> type:
     name = getattr(cls, "name", None)
     if not isinstance(name, str) or not re.fullmatch(NAME_PATTERN, name):
         raise ConfigError(f"{source}: needs a 'name' of letters, digits, '.', '_' and '-', not {name!r}")
+    if getattr(cls, "task", TASKS[0]) not in TASKS:
+        raise ConfigError(f"{source}: {unknown_name('task', str(cls.task), TASKS)}")
     config = getattr(cls, "Config", None)
     if config is not None and not (inspect.isclass(config) and issubclass(config, BaseModel)):
         raise ConfigError(f"{source}: 'Config' must be a pydantic model")

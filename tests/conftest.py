@@ -1,10 +1,15 @@
-"""Cameras that several tests use."""
+"""Cameras that several tests use, and how Hypothesis is set."""
 
 from __future__ import annotations
 
 import pytest
+from hypothesis import settings
 
 from surgbench.camera import Camera
+
+# A first call may compile, and the machine be busy: time is nothing to be tested.
+settings.register_profile("untimed", deadline=None)
+settings.load_profile("untimed")
 
 
 @pytest.fixture(scope="session")

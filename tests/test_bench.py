@@ -108,7 +108,7 @@ states = st.tuples(
 ).map(np.array)  # fmt: skip
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(state=states)
 @example(state=np.zeros(9))  # the camera inside
 def test_scanline_equals_the_engine(scanline: Peer, state: FloatArray) -> None:
@@ -118,7 +118,7 @@ def test_scanline_equals_the_engine(scanline: Peer, state: FloatArray) -> None:
     assert np.count_nonzero(scanline.silhouette(state) != evaluator.mask(state)) <= 1
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(state=states)
 @example(state=np.zeros(9))
 @example(state=np.array([2.0, 0.0, 0.0, 0.0, 0.00390625, 0.0, 0.0, 0.0, 0.0]))  # a face fills most of the view

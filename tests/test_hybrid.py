@@ -84,7 +84,7 @@ def test_a_missing_jaw_is_an_unexplained_edge_and_an_unexplained_contour(camera:
 # --- fit
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(st.integers(0, 10_000))
 def test_the_fit_returns_to_the_truth(seed: int) -> None:
     """From an ordinary frame's motion away, without any prior: thousandths of a radian and a tenth of a millimetre."""

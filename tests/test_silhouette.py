@@ -92,7 +92,7 @@ def assert_same(image: np.ndarray, expected: np.ndarray) -> None:
     assert np.count_nonzero(image != expected) <= 1
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(body=st.sampled_from(sorted(BODIES)), state=poses)
 def test_any_body_anywhere_equals_brute_force(small_camera: Camera, body: str, state: FloatArray) -> None:
     instrument = rigid_instrument(BODIES[body])
@@ -110,7 +110,7 @@ joints = st.tuples(st.floats(-1.57, 1.57), st.floats(-1.39, 1.39), st.floats(0.0
 needle_driver_states = st.tuples(poses, joints).map(lambda both: np.array([*both[0][:6], *both[1]]))
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(left=needle_driver_states, right=needle_driver_states)
 def test_two_needle_drivers_count_their_union_once(small_camera: Camera, left: FloatArray, right: FloatArray) -> None:
     instrument = load_instrument("large_needle_driver")
@@ -273,7 +273,7 @@ DEGENERATE: dict[str, Any] = {
 }
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(body=st.sampled_from(sorted(DEGENERATE)), state=poses)
 def test_faces_without_area_and_coincident_faces(small_camera: Camera, body: str, state: FloatArray) -> None:
     assert_covers_what_brute_force_does([rigid_instrument(DEGENERATE[body])], small_camera, state)
@@ -290,13 +290,13 @@ cameras = st.builds(
 )
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(camera=cameras, body=st.sampled_from(sorted(BODIES)), state=poses)
 def test_any_camera(camera: Camera, body: str, state: FloatArray) -> None:
     assert_covers_what_brute_force_does([rigid_instrument(BODIES[body])], camera, state)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(camera=cameras, bodies=st.tuples(*[st.sampled_from(sorted(BODIES))] * 2), left=poses, right=poses)
 def test_two_bodies_anywhere(camera: Camera, bodies: tuple[str, str], left: FloatArray, right: FloatArray) -> None:
     """Each moves on its own; what both cover counts once."""
@@ -319,7 +319,7 @@ lattice_cameras = st.builds(
 )
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(
     camera=lattice_cameras,
     boxes=lattice_boxes,
@@ -354,7 +354,7 @@ def test_beside_the_image_nothing_is_covered(small_camera: Camera, side: tuple[i
     assert_counts_belong_to_mask(evaluator, state, np.zeros((62, 88), bool))
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(state=needle_driver_states)
 def test_the_box_is_that_of_the_mask(small_camera: Camera, state: FloatArray) -> None:
     evaluator = SilhouetteEvaluator([load_instrument("large_needle_driver")], small_camera)

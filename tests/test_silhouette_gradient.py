@@ -521,7 +521,7 @@ def assert_crossings_bound_the_mask(evaluator: SilhouetteEvaluator, state: Float
         assert np.array_equal(filled, mask[row])
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(camera=cameras, body=st.sampled_from(sorted(BODIES)), state=poses)
 def test_crossings_of_bodies_bound_the_mask(camera: Camera, body: str, state: FloatArray) -> None:
     # Where the near plane cuts a body there are no crossings.
@@ -529,7 +529,7 @@ def test_crossings_of_bodies_bound_the_mask(camera: Camera, body: str, state: Fl
     assert_crossings_bound_the_mask(evaluator_of(BODIES[body], camera), state)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(state=needle_driver_states)
 def test_crossings_of_a_needle_driver_bound_the_mask(small_camera: Camera, state: FloatArray) -> None:
     # Far enough for the near plane to cut the shaft outside the image, if at all.

@@ -103,7 +103,7 @@ needle_driver_states = st.tuples(
 ).map(np.array)  # fmt: skip
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(state=needle_driver_states)
 def test_any_pose_has_the_compiled_engines_mask(small_camera: Camera, device: str, state: FloatArray) -> None:
     ours, theirs = evaluators([load_instrument("large_needle_driver")], small_camera, device)
@@ -115,7 +115,7 @@ def test_any_pose_has_the_compiled_engines_mask(small_camera: Camera, device: st
     assert score.overlap[0] == np.count_nonzero(mask & reference.mask)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(left=needle_driver_states, right=needle_driver_states)
 def test_two_arms_count_their_union_once(
     small_camera: Camera, device: str, left: FloatArray, right: FloatArray

@@ -191,7 +191,7 @@ def test_what_cannot_run_here_is_skipped_with_its_reason(
     assert "0 runs, 0 frames to track; 2 cannot be run here" in captured.err
     assert f"not-here: skipped: {reason}" in captured.out
     for record in records(tmp_path):
-        assert (record["status"], record["error"], record["frames"]["state"]) == ("skipped", reason, [])
+        assert (record["status"], record["error"], record["frames"]) == ("skipped", reason, {})
     row = only(tmp_path)
     assert (row["status"], row["error"], row["coverage"]) == ("skipped", reason, 0.0)
     assert f"- not-here: skipped: {reason}" in markdown([row])

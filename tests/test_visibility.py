@@ -64,7 +64,7 @@ driver_states = st.tuples(
 ).map(np.array)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(left=driver_states, right=driver_states)
 def test_visible_masks_part_the_mask_of_both_arms(small_camera: Camera, left: FloatArray, right: FloatArray) -> None:
     state = np.concatenate([left, right])
@@ -79,7 +79,7 @@ def test_visible_masks_part_the_mask_of_both_arms(small_camera: Camera, left: Fl
     assert np.array_equal(np.where(visible, depths, np.inf).min(axis=0), depths.min(axis=0))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(state=driver_states, row=st.integers(0, 61), column=st.integers(0, 87))
 def test_depth_is_that_of_a_ray(small_camera: Camera, state: FloatArray, row: int, column: int) -> None:
     # Every other pixel of the silhouette as a rule, so that most examples hit something.
@@ -163,7 +163,7 @@ def test_looking_into_a_solid_through_the_near_plane(small_camera: Camera) -> No
     assert not visible[1].any()
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.integers(0, 30), st.integers(40, 80), st.integers(0, 25), st.integers(35, 60), st.floats(0.01, 0.2))
 def test_edges_on_pixel_centres_have_a_depth(
     small_camera: Camera, left: int, right: int, top: int, bottom: int, z: float

@@ -18,12 +18,15 @@ def mask_per_arm(view: View, arms: int) -> tuple[Mask, ...] | None:
         arms: 1 or 2.
 
     Returns:
-        ``arms`` masks ``(H, W)``, left arm first; ``None`` where the two arms touch or one is not seen.
+        ``arms`` masks ``(H, W)``, left arm first; ``None`` where the two arms touch or one is not seen, and in views
+        that are not the reference camera's, in which the left arm need not be on the left.
     """
     if arms == 1:
         return (view.mask,)
     if view.instance_masks is not None:
         return view.instance_masks
+    if not np.array_equal(view.T_view_cam, np.eye(4)):
+        return None
     count, labels, stats, centres = cv2.connectedComponentsWithStats(view.mask.astype(np.uint8))
     if count < 3:
         return None

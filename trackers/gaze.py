@@ -181,6 +181,8 @@ def advance(
             at_once = at_once and out[joint] == view[joint]
             view[joint] = bounds[0, joint] = bounds[1, joint] = out[joint]
         if not at_once and behind < 6:
+            if first == 0:  # the view on the way goes on from where it was
+                view[2:] = last[2:]
             fit(
                 arm, reach_m, view, bounds[0], bounds[1], feature, distance_m, naive, rules, faces, step_weights,
                 int(iterations[1]),

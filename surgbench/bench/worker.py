@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import signal
 import sys
 import time
 import traceback
@@ -118,13 +117,9 @@ def serve(connection: Connection) -> None:
 def main() -> None:
     """Take the cores given, before anything is loaded that counts them."""
     os.sched_setaffinity(0, {int(core) for core in sys.argv[2].split(",")})
-    from surgbench.suite.worker import end_with_parent
+    from surgbench.suite.process import serve_parent
 
-    end_with_parent(os.getppid())
-    # Ctrl-C is the parent's to handle; what a library prints must not end up in the command's output.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    os.dup2(2, 1)
-    serve(Connection(int(sys.argv[1])))
+    serve_parent(serve)
 
 
 if __name__ == "__main__":

@@ -26,6 +26,9 @@ def run(
     readings: Annotated[
         Literal["none", "noisy", "true"] | None, typer.Option(help="Which joint readings trackers are given.")
     ] = None,
+    view: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Auxiliary view that trackers see besides the endoscope's.")
+    ] = None,
     arms: Annotated[
         Literal["single", "dual"] | None, typer.Option(help="Each arm alone, or pairs in one mask.")
     ] = None,
@@ -67,8 +70,8 @@ def run(
     """
     from rich.console import Console
 
-    from surgbench.dataset.reader import Dataset
-    from surgbench.report.records import SKIPPED, read_records
+    from surgbench.dataset.open import open_dataset
+    from surgbench.report.records import SKIPPED, read_all_records
     from surgbench.report.render import print_leaderboard
     from surgbench.report.rows import derive_rows
     from surgbench.suite.plan import complete
@@ -82,13 +85,14 @@ def run(
         "keypoints": keypoints,
         "filter": filter_,
         "readings": _readings(no_joints, joints, readings),
+        "view": view,
         "sequences": sequences,
         "frames": frames,
     }
     protocol = {"arms": arms, "seed": seed, "repeats": repeats, "timeout_s": timeout, "device": device}
     base = None if suite is None else load_suite(suite)
     asked = from_command_line(base, tracker or [], row, set_ or [], protocol)
-    data = Dataset.open(dataset)
+    data = open_dataset(dataset)
     check_output(out)
     planned = [job for one in asked.rows for job in plan_jobs(complete(one, asked, data), data)]
     plan = make_plan(planned, out, retry_failed)
@@ -119,7 +123,9 @@ def run(
         spec = record["spec"]
         print(f"{spec['row_id']} {spec['unit']}: {record['status']}: {record['error']}", file=sys.stderr)
     # The folder may hold other datasets' and other settings' records: show what was asked for.
-    rows = derive_rows([record for record in read_records([out]) if record.spec_hash in {job.hash for job in planned}])
+    rows = derive_rows(
+        [record for record in read_all_records([out]) if record.spec_hash in {job.hash for job in planned}]
+    )
     print_leaderboard(rows, Console())
     print(out)
     if failures and len(failures) == len(plan.todo) - plan.skipped:

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import pickle
-import signal
-import sys
 import traceback
 from multiprocessing.connection import Connection
 
 from surgbench.conformance.checks import run_check
 from surgbench.conformance.session import Session
-from surgbench.suite.worker import end_with_parent
+from surgbench.suite.process import serve_parent
 
 
 def serve(connection: Connection) -> None:
@@ -48,7 +45,4 @@ def serve(connection: Connection) -> None:
 
 
 if __name__ == "__main__":
-    end_with_parent(os.getppid())
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    os.dup2(2, 1)  # what a tracker prints is not the command's output
-    serve(Connection(int(sys.argv[1])))
+    serve_parent(serve)

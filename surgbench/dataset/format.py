@@ -7,7 +7,16 @@ from pathlib import Path, PurePosixPath
 from typing import Annotated, Any, Final, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    SerializerFunctionWrapHandler,
+    ValidationError,
+    field_validator,
+    model_serializer,
+    model_validator,
+)
 
 from surgbench.camera import Camera, Finite
 from surgbench.errors import DatasetError
@@ -46,6 +55,12 @@ CONVENTIONS = {
     "the camera frame; NaN: no reading",
     "missing": "NaN",
 }
+# Added to the conventions of a dataset that has such views.
+AUXILIARY_CONVENTION = {
+    "auxiliary views": "T_view_cam, from the frame of the sequence's camera to that of the auxiliary one, as a "
+    "rotation vector (rx, ry, rz) and a position (x, y, z), for each kind of mask; observations.parquet has it as "
+    "reported, poses.parquet as it is",
+}
 VISIBILITY = {
     "tracker": ["dataset.json", "instruments/**", "sequences/**"],
     "truth": ["truth/**"],
@@ -65,8 +80,22 @@ class FileEntry(Part):
     sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 
 
+class AuxiliaryEntry(Part):
+    """A further camera of a sequence, which may move.
+
+    Attributes:
+        camera: Key in the manifest's ``cameras``.
+        kinds: Mask kinds that it has; each may be seen from a pose of its own.
+        keypoints: Whether its observations have tip keypoints.
+    """
+
+    camera: str
+    kinds: Annotated[tuple[MaskKind, ...], Field(min_length=1)]
+    keypoints: bool = False
+
+
 class SequenceEntry(Part):
-    """One sequence: consecutive frames of one camera.
+    """One sequence: consecutive frames of one camera, and of further ones.
 
     Attributes:
         id: Names its folders.
@@ -84,6 +113,7 @@ class SequenceEntry(Part):
         T_cam_base: Arm to the nominal place of its base frame in the camera frame, ``(4, 4)`` row by row, of every arm
             whose tool poses the observations hold; empty where they hold none.
         source_frames: File stems in the recording this was imported from.
+        auxiliary: Name to what is known of a further view. Left out of the file where there is none.
     """
 
     id: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
@@ -100,6 +130,12 @@ class SequenceEntry(Part):
     truth: bool = False
     T_cam_base: dict[Arm, Annotated[tuple[Finite, ...], Field(min_length=16, max_length=16)]] = {}
     source_frames: tuple[str, ...] = ()
+    auxiliary: dict[Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")], AuxiliaryEntry] = {}
+
+    @model_serializer(mode="wrap")
+    def _without_what_is_not_there(self, serialise: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        # So that the hash of a dataset without auxiliary views does not know of them.
+        return {key: value for key, value in serialise(self).items() if key != "auxiliary" or value}
 
     @model_validator(mode="after")
     def _consistent(self) -> SequenceEntry:
@@ -114,6 +150,12 @@ class SequenceEntry(Part):
         for arm, numbers in self.T_cam_base.items():
             if not is_rigid(np.reshape(numbers, (4, 4))):
                 raise ValueError(f"T_cam_base of the {arm} arm is not a rotation and a translation")
+        for name, view in self.auxiliary.items():
+            for kind in view.kinds:
+                if kind not in self.kinds:
+                    raise ValueError(f"auxiliary view '{name}' has the kind '{kind}', which the sequence has not")
+            if view.keypoints and not self.keypoints:
+                raise ValueError(f"auxiliary view '{name}' has keypoints, which the sequence has not")
         return self
 
 
@@ -169,6 +211,11 @@ class Manifest(Part):
         for sequence in self.sequences:
             if sequence.camera not in self.cameras:
                 raise ValueError(f"sequence '{sequence.id}' names the unknown camera '{sequence.camera}'")
+            for name, view in sequence.auxiliary.items():
+                if view.camera not in self.cameras:
+                    raise ValueError(
+                        f"sequence '{sequence.id}': auxiliary view '{name}' names the unknown camera '{view.camera}'"
+                    )
             for instrument in sequence.instruments.values():
                 if instrument not in self.instruments:
                     raise ValueError(f"sequence '{sequence.id}' names the unknown instrument '{instrument}'")
@@ -230,6 +277,16 @@ def frame_name(frame: int) -> str:
     return f"{frame:06d}.png"
 
 
+def view_folder(sequence: str, view: str) -> str:
+    """What stands for the sequence's id in the paths below where they are those of an auxiliary view."""
+    return f"{sequence}/views/{view}"
+
+
+def poses_path(folder: str) -> str:
+    """Where the true poses of an auxiliary view lie; ``folder`` is from :func:`view_folder`."""
+    return f"truth/{folder}/poses.parquet"
+
+
 def observed_path(sequence: str, kind: str, frame: int) -> str:
     """Where what was seen in a frame lies in the folder; ``kind`` is a mask kind or ``image``."""
     return f"sequences/{sequence}/observed/{kind}/{frame_name(frame)}"
@@ -263,4 +320,12 @@ def sequence_files(entry: SequenceEntry) -> list[str]:
     if entry.truth:
         paths.append(states_path(entry.id))
         paths += [clean_mask_path(entry.id, kind, frame) for kind in entry.kinds for frame in range(entry.frames)]
+    for name, view in entry.auxiliary.items():
+        folder = view_folder(entry.id, name)
+        masks = [(kind, frame) for kind in view.kinds for frame in range(entry.frames)]
+        paths.append(observations_path(folder))
+        paths += [observed_path(folder, kind, frame) for kind, frame in masks]
+        if entry.truth:
+            paths.append(poses_path(folder))
+            paths += [clean_mask_path(folder, kind, frame) for kind, frame in masks]
     return paths

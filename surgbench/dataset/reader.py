@@ -6,13 +6,14 @@ import hashlib
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surgbench.camera import Camera
 from surgbench.dataset import tables
+from surgbench.dataset.auxiliary import AuxiliaryView
 from surgbench.dataset.format import (
     IMAGE_KIND,
     Arm,
@@ -46,6 +47,10 @@ class Unit:
     arms: tuple[Arm, ...]
     kind: str
 
+    def spec(self) -> dict[str, Any]:
+        """What a record's specification says of it beside its id and sequence."""
+        return {"arms": list(self.arms), "mask_kind": self.kind}
+
 
 class Sequence:
     """One sequence of a dataset. Masks and images are read when asked for; tables once.
@@ -53,13 +58,17 @@ class Sequence:
     Args:
         root: The dataset's folder.
         entry: Its part of the manifest.
-        camera: Its camera.
+        cameras: All of the dataset's.
     """
 
-    def __init__(self, root: Path, entry: SequenceEntry, camera: Camera) -> None:
+    def __init__(self, root: Path, entry: SequenceEntry, cameras: dict[str, Camera]) -> None:
         self.root = root
         self.entry = entry
-        self.camera = camera
+        self.camera = cameras[entry.camera]
+        self._auxiliary = {
+            name: AuxiliaryView(root, entry.id, name, view, cameras[view.camera], entry.frames, entry.truth)
+            for name, view in entry.auxiliary.items()
+        }
 
     @property
     def id(self) -> str:
@@ -117,6 +126,17 @@ class Sequence:
             return None
         self._check(None, frame)
         return (self.root / observed_path(self.id, IMAGE_KIND, frame)).resolve()
+
+    def auxiliary(self, name: str) -> AuxiliaryView:
+        """One of the sequence's auxiliary views.
+
+        Raises:
+            DatasetError: There is none of this name.
+        """
+        if name not in self._auxiliary:
+            problem = unknown_name("auxiliary view", name, self._auxiliary)
+            raise DatasetError(f"{self.root}: sequence '{self.id}': {problem}")
+        return self._auxiliary[name]
 
     @cached_property
     def timestamps_s(self) -> FloatArray:
@@ -218,11 +238,13 @@ class Dataset:
         sequences: In the manifest's order.
     """
 
+    task: ClassVar[str] = "instrument"
+
     def __init__(self, path: Path, manifest: Manifest, hash_: str) -> None:
         self.path = path
         self.manifest = manifest
         self.hash = hash_
-        self.sequences = tuple(Sequence(path, entry, manifest.cameras[entry.camera]) for entry in manifest.sequences)
+        self.sequences = tuple(Sequence(path, entry, manifest.cameras) for entry in manifest.sequences)
 
     @classmethod
     def open(cls, path: Path | str) -> Dataset:

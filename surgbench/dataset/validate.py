@@ -10,14 +10,18 @@ import numpy as np
 
 from surgbench.camera import Camera
 from surgbench.dataset import tables
+from surgbench.dataset.auxiliary import auxiliary_columns, keypoint_columns, kind_arms, pose_columns
 from surgbench.dataset.format import (
     IMAGE_KIND,
     MANIFEST_NAME,
     Arm,
+    AuxiliaryEntry,
     SequenceEntry,
     observations_path,
+    poses_path,
     sequence_files,
     states_path,
+    view_folder,
 )
 from surgbench.dataset.masks import decode_image, decode_mask, read_bytes
 from surgbench.dataset.reader import Dataset, observation_columns, state_columns
@@ -48,6 +52,11 @@ def validate(path: Path | str, progress: Callable[[float], None] = lambda files:
     problems: list[str] = []
     expected = {file for entry in manifest.sequences for file in sequence_files(entry)}
     cameras = {entry.id: manifest.cameras[entry.camera] for entry in manifest.sequences}
+    cameras |= {
+        view_folder(entry.id, name): manifest.cameras[view.camera]
+        for entry in manifest.sequences
+        for name, view in entry.auxiliary.items()
+    }
     for file in sorted(expected - set(manifest.files)):
         problems.append(f"{root / file}: not listed in {MANIFEST_NAME}, but its sequence needs it")
     sound: set[str] = set()
@@ -89,6 +98,8 @@ def validate(path: Path | str, progress: Callable[[float], None] = lambda files:
             problems += _check_observations(root, entry, camera)
         if entry.truth and states_path(entry.id) in sound:
             problems += _check_states(root, entry, limits)
+        for name, view in entry.auxiliary.items():
+            problems += _check_auxiliary(root, entry, name, view, manifest.cameras[view.camera], sound)
     return problems
 
 
@@ -97,7 +108,8 @@ def _check_picture(file: str, data: bytes, root: Path, cameras: dict[str, Camera
     parts = PurePosixPath(file).parts
     if not file.endswith(".png"):
         return None
-    camera = cameras[parts[1]]
+    # sequences/<folder>/observed/<kind>/<frame>.png, where a view's folder has slashes
+    camera = cameras["/".join(parts[1:-3])]
     decode = decode_image if parts[-2] == IMAGE_KIND else decode_mask
     try:
         decode(data, str(root / file), camera.width, camera.height)
@@ -119,12 +131,7 @@ def _check_observations(root: Path, entry: SequenceEntry, camera: Camera) -> lis
     for arm in entry.arms:
         if entry.keypoints:
             points = tables.stack(values, tables.arm_columns(arm, tables.KEYPOINT_COLUMNS)).reshape(-1, 2, 2)
-            lost = np.isnan(points)
-            half = lost.any(axis=2) != lost.all(axis=2)
-            outside = ~camera.contains(points) & ~lost.any(axis=2)
-            for bad, what in ((half, "has one coordinate without the other"), (outside, "lies outside the image")):
-                if bad.any():
-                    problems.append(f"{path}: frame {_first(bad.any(axis=1))}: a keypoint of the {arm} arm {what}")
+            problems += _keypoint_problems(path, arm, points, camera)
         if entry.readings:
             readings = tables.stack(values, tables.arm_columns(arm, tables.READING_COLUMNS))
             bad = (np.isinf(readings) | (np.abs(readings) > np.pi)).any(axis=1)
@@ -140,6 +147,48 @@ def _check_observations(root: Path, entry: SequenceEntry, camera: Camera) -> lis
                     f"{path}: frame {_first(bad)}: the {arm} arm's tool pose is not finite, or its rotation vector is "
                     "longer than pi"
                 )
+    return problems
+
+
+def _keypoint_problems(path: Path, arm: Arm, points: FloatArray, camera: Camera) -> list[str]:
+    lost = np.isnan(points)
+    half = lost.any(axis=2) != lost.all(axis=2)
+    outside = ~camera.contains(points) & ~lost.any(axis=2)
+    return [
+        f"{path}: frame {_first(bad.any(axis=1))}: a keypoint of the {arm} arm {what}"
+        for bad, what in ((half, "has one coordinate without the other"), (outside, "lies outside the image"))
+        if bad.any()
+    ]
+
+
+def _check_auxiliary(
+    root: Path, entry: SequenceEntry, name: str, view: AuxiliaryEntry, camera: Camera, sound: set[str]
+) -> list[str]:
+    """Problems of an auxiliary view's tables, those that are there whole."""
+    folder = view_folder(entry.id, name)
+    files = {observations_path(folder): auxiliary_columns(view)}
+    if entry.truth:
+        files[poses_path(folder)] = pose_columns(view)
+    problems = []
+    for file in sorted(sound & set(files)):
+        path = root / file
+        try:
+            values = tables.decode_table(read_bytes(path), str(path), entry.frames, files[file])
+        except DatasetError as error:
+            problems.append(str(error))
+            continue
+        for kind in view.kinds:
+            poses = tables.stack(values, tables.arm_columns(kind, tables.VIEW_COLUMNS))
+            turn = np.linalg.norm(poses[:, :3], axis=1)
+            bad = ~(np.isfinite(poses).all(axis=1) & (turn <= np.pi + TOLERANCE_RAD))
+            if bad.any():
+                problems.append(
+                    f"{path}: frame {_first(bad)}: the view's pose for '{kind}' is not finite, or its rotation vector "
+                    "is longer than pi"
+                )
+            for arm in kind_arms(kind) if view.keypoints and file == observations_path(folder) else ():
+                points = tables.stack(values, keypoint_columns(kind, arm)).reshape(-1, 2, 2)
+                problems += _keypoint_problems(path, arm, points, camera)
     return problems
 
 

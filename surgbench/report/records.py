@@ -40,30 +40,56 @@ class Plug(_Part):
     options: dict[str, Any] = {}
 
 
-class Spec(_Part):
-    """What was run: everything that the estimates depend on."""
+class AnySpec(_Part):
+    """What was run, whatever the task."""
 
     task: str
     dataset: DatasetRef
     unit: str
     sequence: str
-    arms: tuple[str, ...]
-    mask_kind: str
     row_id: str
     tracker: Plug
+    repeat: int
+    level: str | float | None = None
+
+
+class Spec(AnySpec):
+    """Everything that the estimates of an instrument depend on."""
+
+    arms: tuple[str, ...]
+    mask_kind: str
     initialiser: Plug
     filter: Plug
     keypoints: Plug
     readings: str
-    repeat: int
     views: int = 1
-    level: str | float | None = None
+    view: str | None = None
 
 
-class Frames(_Part):
-    """Per-frame results; all lists have the same length T, in the order the frames were tracked."""
+class ViewpointSpec(AnySpec):
+    """Everything that a camera's course depends on."""
+
+    registration: str
+    missing_face: bool = False
+
+
+class AnyFrames(_Part):
+    """Per-frame results; all lists have the same length T, in the order the frames were run."""
 
     index: list[int] = []
+
+    @model_validator(mode="after")
+    def _same_length(self) -> AnyFrames:
+        for key in type(self).model_fields:
+            found = len(getattr(self, key))
+            if found not in (0, len(self.index)):
+                raise ValueError(f"'{key}' has {found} entries but 'index' has {len(self.index)}")
+        return self
+
+
+class Frames(AnyFrames):
+    """Per-frame results of an instrument tracker."""
+
     state: list[list[float]] = []
     confidence: list[Number] = []
     lost: list[bool] = []
@@ -74,11 +100,7 @@ class Frames(_Part):
     latency_filter_ms: list[Number] = []
 
     @model_validator(mode="after")
-    def _same_length(self) -> Frames:
-        for key in type(self).model_fields:
-            found = len(getattr(self, key))
-            if found not in (0, len(self.index)):
-                raise ValueError(f"'{key}' has {found} entries but 'index' has {len(self.index)}")
+    def _state_size(self) -> Frames:
         if self.state and {len(state) for state in self.state} not in ({9}, {18}):
             raise ValueError("'state' must hold 9 or 18 numbers per frame")
         return self
@@ -89,7 +111,35 @@ class Frames(_Part):
         return np.array(self.state, dtype=np.float64)
 
 
-class Record(_Part):
+class ViewpointFrames(AnyFrames):
+    """Per-step results of a viewpoint controller (:func:`surgbench.viewpoint.execute.measure`).
+
+    Attributes:
+        joints: Of the camera arm, after each step.
+        setpoint: What they were told.
+        asked: Whether the controller was asked.
+        clipped: Whether its command lay outside the joint limits.
+        solver: Whether it optimised.
+        active: The rules active in the controller's own view, one bit each.
+        rules: Those that speak against the naive pose, the same for all controllers.
+        limit_violation: Whether the set point lay outside the joint limits.
+        no_go_depth_m: How deep in the no-go zone the commanded camera was; negative outside.
+        latency_ms: What the step took.
+    """
+
+    joints: list[list[float]] = []
+    setpoint: list[list[float]] = []
+    asked: list[bool] = []
+    clipped: list[bool] = []
+    solver: list[bool] = []
+    active: list[int] = []
+    rules: list[int] = []
+    limit_violation: list[bool] = []
+    no_go_depth_m: list[float] = []
+    latency_ms: list[Number] = []
+
+
+class AnyRecord(_Part):
     """One run of one tracker on one unit.
 
     Attributes:
@@ -104,7 +154,7 @@ class Record(_Part):
     path: Path
     spec_hash: str
     settings_hash: str
-    spec: Spec
+    spec: AnySpec
     variant: str = ""
     status: str
     error: str | None = None
@@ -112,18 +162,35 @@ class Record(_Part):
     unit_frames: int
     dataset_frames: int | None = None
     floor: bool = False
-    frames: Frames
+    frames: AnyFrames
     errors: dict[str, FloatArray]
 
     @model_validator(mode="after")
-    def _errors_match(self) -> Record:
+    def _errors_match(self) -> AnyRecord:
         for key, values in self.errors.items():
             if key not in PER_ARM and len(values) != len(self.frames.index):
                 raise ValueError(f"'errors.{key}' has {len(values)} entries but 'index' has {len(self.frames.index)}")
         return self
 
 
-def read_record(path: Path) -> Record | None:
+class Record(AnyRecord):
+    """One run of an instrument tracker."""
+
+    spec: Spec
+    frames: Frames
+
+
+class ViewpointRecord(AnyRecord):
+    """One run of a viewpoint controller."""
+
+    spec: ViewpointSpec
+    frames: ViewpointFrames
+
+
+KINDS: dict[str, type[AnyRecord]] = {"instrument": Record, "viewpoint": ViewpointRecord}
+
+
+def read_record(path: Path) -> AnyRecord | None:
     """Read one file.
 
     Args:
@@ -141,15 +208,17 @@ def read_record(path: Path) -> Record | None:
         raise DatasetError(f"{path}: truncated or not JSON ({error}); delete it and run again") from None
     except OSError as error:
         raise DatasetError(f"{path}: cannot be read ({error.strerror})") from None
-    kind = content.get("format") if isinstance(content, dict) else None
-    if not isinstance(kind, str) or not kind.startswith(_FORMAT_STEM):
+    found = content.get("format") if isinstance(content, dict) else None
+    if not isinstance(found, str) or not found.startswith(_FORMAT_STEM):
         return None
-    if kind != RECORD_FORMAT:
-        raise DatasetError(f"{path}: record format '{kind}' is not known here (known: {RECORD_FORMAT})")
+    if found != RECORD_FORMAT:
+        raise DatasetError(f"{path}: record format '{found}' is not known here (known: {RECORD_FORMAT})")
     try:
         content["frames"] = content.get("frames") or {}
         content["errors"] = _error_arrays(content.get("errors") or {})
-        return Record.model_validate({**content, "path": path})
+        spec = content.get("spec")
+        kind = KINDS.get(str(spec.get("task")) if isinstance(spec, dict) else "", Record)
+        return kind.model_validate({**content, "path": path})
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"]) or "record"
@@ -172,6 +241,20 @@ def _error_arrays(errors: dict[str, Any]) -> dict[str, FloatArray]:
 
 
 def read_records(directories: Iterable[Path]) -> list[Record]:
+    """All records of instrument trackers below some folders; see :func:`read_all_records`.
+
+    Raises:
+        DatasetError: As there, or a record is of another task.
+    """
+    records = []
+    for record in read_all_records(directories):
+        if not isinstance(record, Record):
+            raise DatasetError(f"{record.path}: of the {record.spec.task} task; only instrument trackers' runs will do")
+        records.append(record)
+    return records
+
+
+def read_all_records(directories: Iterable[Path]) -> list[AnyRecord]:
     """All records below some folders, each run once, in a fixed order.
 
     A run that is there twice (the same ``spec_hash``) counts once: a sound record before a failed one, a failed one
@@ -180,7 +263,7 @@ def read_records(directories: Iterable[Path]) -> list[Record]:
     Raises:
         DatasetError: A folder is missing or has no record, or a file below it is damaged.
     """
-    chosen: dict[str, Record] = {}
+    chosen: dict[str, AnyRecord] = {}
     for directory in directories:
         if not directory.is_dir():
             raise DatasetError(f"{directory}: no such folder of records (make one with: surgbench run … --out DIR)")
@@ -194,5 +277,5 @@ def read_records(directories: Iterable[Path]) -> list[Record]:
     return sorted(chosen.values(), key=lambda r: (r.spec.row_id, r.spec.unit, r.spec.repeat, r.spec_hash))
 
 
-def _worth(record: Record) -> int:
+def _worth(record: AnyRecord) -> int:
     return {"ok": 0, SKIPPED: 2}.get(record.status, 1)

@@ -14,7 +14,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from surgbench.report.records import SKIPPED
-from surgbench.report.rows import INSTRUMENT_COLUMNS, Row
+from surgbench.report.rows import Row
+from surgbench.report.rows import columns as columns_of
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -82,18 +83,40 @@ COLUMNS = (
 )
 
 
+# Of viewpoint controllers; the page has every subset of the samples, the terminal all of them together.
+VIEWPOINT = (
+    ROW,
+    VARIANT,
+    Column("subset", "samples\nof", "samples"),
+    Column("samples", "n", "n", from_width=110),
+    Column("coverage", "done\n%", "done [%]", 0, 100.0),
+    Column("vva_deg", "VVA\ndeg", "VVA [deg]", 2, best=True),
+    Column("fd_mm", "FD\nmm", "FD [mm]", 2, best=True),
+    Column("pf_deg", "PF\ndeg", "PF [deg]", 2, best=True),
+    Column("an_deg", "AN\ndeg", "AN [deg]", 1, best=True),
+    Column("pn_mm", "PN\nmm", "PN [mm]", 1, best=True),
+    Column("vva_true_deg", "true\nVVA", "true VVA [deg]", 2, best=True, from_width=90),
+    Column("constrained_percent", "bound\n%", "constrained [%]", 1),
+    Column("no_go_violations", "no-\ngo", "no-go violations"),
+    Column("limit_violations", "limit", "limit violations", from_width=100),
+    Column("latency_ms", "time\nms", "latency [ms]", 3, best=True),
+    Column("latency_ms_p999", "p99.9\nms", "p99.9 [ms]", 3, from_width=90),
+)
+
+
 def csv(rows: Sequence[Row]) -> str:
     """All columns; floats with all their digits, empty cells for missing values."""
     out = io.StringIO()
-    writer = csv_format.DictWriter(out, INSTRUMENT_COLUMNS, lineterminator="\n")
+    writer = csv_format.DictWriter(out, columns_of(rows), lineterminator="\n")
     writer.writeheader()
-    writer.writerows(rows)
+    writer.writerows([{key: value for key, value in row.items() if key in columns_of([row])} for row in rows])
     return out.getvalue()
 
 
 def json(rows: Sequence[Row]) -> str:
     """A list of rows; floats with all their digits, null for missing values."""
-    return json_format.dumps(list(rows), indent=2, allow_nan=False, ensure_ascii=False) + "\n"
+    rows = [{key: row[key] for key in columns_of([row])} for row in rows]
+    return json_format.dumps(rows, indent=2, allow_nan=False, ensure_ascii=False) + "\n"
 
 
 def markdown(rows: Sequence[Row]) -> str:
@@ -142,7 +165,7 @@ def print_leaderboard(rows: Sequence[Row], console: Console) -> None:
     from rich.table import Table
     from rich.text import Text
 
-    for title, group in _groups(rows):
+    for title, group in _groups([row for row in rows if row.get("subset", "all") == "all"]):
         columns, best = _shown(group, console.width), _best(group)
         sheet = Table(title=Text(title), title_justify="left", box=box.SIMPLE_HEAD, padding=0, pad_edge=False)
         for column in columns:
@@ -165,44 +188,55 @@ def print_leaderboard(rows: Sequence[Row], console: Console) -> None:
 def _groups(rows: Sequence[Row]) -> Iterator[tuple[str, list[Row]]]:
     groups: dict[tuple[str, str], list[Row]] = {}
     for row in rows:
-        groups.setdefault((row["dataset"], row["arms"]), []).append(row)
+        arms = {"single": "single arms", "dual": "both arms together"}.get(row.get("arms", ""), "viewpoint")
+        groups.setdefault((row["dataset"], arms), []).append(row)
     for (dataset, arms), group in groups.items():
-        yield f"{dataset}, {'single arms' if arms == 'single' else 'both arms together'}", group
+        yield f"{dataset}, {arms}", group
+
+
+def _columns(rows: list[Row]) -> tuple[Column, ...]:
+    return COLUMNS if rows[0]["task"] == "instrument" else VIEWPOINT
 
 
 def _shown(rows: list[Row], width: int | None = None) -> list[Column]:
     """Columns worth their room in ``width`` characters (``None``: any): not those without a value."""
-    ids = [row["row_id"] for row in rows]
+    ids = [(row["row_id"], row.get("subset")) for row in rows]
     # Rows of one name can be told apart by their variant alone, and a floor must be known for what it is.
-    telling = len(set(ids)) < len(ids) or any(row["floor"] for row in rows)
+    telling = len(set(ids)) < len(ids) or any(row.get("floor") for row in rows)
     return [
         column
-        for column in COLUMNS
+        for column in _columns(rows)
         if (width is None or width >= column.from_width or (column is VARIANT and telling))
         and (column is ROW or any(row[column.key] is not None for row in rows))
         and (column.key != "coverage" or any(row["coverage"] < 1 for row in rows))
+        and (column.key != "subset" or len({row["subset"] for row in rows}) > 1)
     ]
 
 
-def _best(rows: list[Row]) -> dict[str, Any]:
+def _best(rows: list[Row]) -> dict[Any, Any]:
+    """Of each subset and column the smallest value."""
     sound = [row for row in rows if _ranks(row)]
-    if len(sound) < 2:
-        return {}
-    values = {column.key: [row[column.key] for row in sound if row[column.key] is not None] for column in COLUMNS}
-    return {key: min(found) for key, found in values.items() if found}
+    best: dict[Any, Any] = {}
+    for subset in dict.fromkeys(row.get("subset") for row in sound):
+        own = [row for row in sound if row.get("subset") == subset]
+        for column in _columns(rows) if len(own) > 1 else ():
+            values = [row[column.key] for row in own if row[column.key] is not None]
+            if values:
+                best[subset, column.key] = min(values)
+    return best
 
 
-def _is_best(column: Column, row: Row, best: dict[str, Any]) -> bool:
+def _is_best(column: Column, row: Row, best: dict[Any, Any]) -> bool:
     value = row[column.key]
-    return column.best and _ranks(row) and value is not None and value == best.get(column.key)
+    return column.best and _ranks(row) and value is not None and value == best.get((row.get("subset"), column.key))
 
 
 def _ranks(row: Row) -> bool:
-    return row["status"] == "ok" and not row["floor"]
+    return row["status"] == "ok" and not row.get("floor")
 
 
 def _unsound(rows: list[Row]) -> list[Row]:
-    return [row for row in rows if row["status"] != "ok"]
+    return [row for row in rows if row["status"] != "ok" and row.get("subset", "all") == "all"]
 
 
 def _reason(row: Row) -> str:

@@ -87,8 +87,10 @@ class Comparison:
     pairs: tuple[Pair, ...]
 
 
-def compare(block: Block, rows: Sequence[Row], published: Published) -> list[Comparison]:
+def compare(block: Block, rows: Sequence[Row], published: Published | None) -> list[Comparison]:
     """All rows of a block that have a published row and were run, with the figures that both are about."""
+    if published is None:
+        return []
     found = {row["row_id"]: row for row in rows}
     comparisons = []
     for row in block.rows:

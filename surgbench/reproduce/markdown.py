@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from typing import Any
 
 from surgbench.report.rows import Row
-from surgbench.reproduce.compare import ABOVE_FLOOR, ALL, TIME, Comparison, Measure, compare
+from surgbench.reproduce.compare import ABOVE_FLOOR, ALL, TIME, TIPS, Comparison, Measure, compare
+from surgbench.reproduce.published import Published
 from surgbench.reproduce.results import FIGURE_PNG, Results
 from surgbench.reproduce.table import Block, Definition, Table
 
@@ -23,14 +24,15 @@ READING = (
 def markdown(definition: Definition, results: Results) -> str:
     """The whole page."""
     table, published = definition.table, definition.published
+    source = "" if published is None else published.short
     compared = {block.name: compare(block, results.rows, published) for block in table.blocks}
     parts = [f"# {table.title}"]
     if results.about["quick"]:
         parts.append(QUICK_WARNING)
     if table.note:
         parts.append(table.note.strip())
-    parts.append(_summary(table, compared, published.short))
-    parts += [READING, _times(results.about, published.short, published.machine)]
+    parts.append(_summary(table, compared, source))
+    parts += [READING, _times(results.about, published)]
     if results.about["figure"]:
         parts.append(f"![Ground truth and estimates over time]({FIGURE_PNG})")
     for block in table.blocks:
@@ -38,16 +40,24 @@ def markdown(definition: Definition, results: Results) -> str:
         about_data = _dataset(block, results.about["datasets"][block.dataset.folder])
         parts += [f"## {block.heading}", block.note.strip(), about_data, _block_table(rows), *_failures(rows)]
         if compared[block.name]:
-            parts += [f"### Beside {published.short}", _comparison_table(compared[block.name])]
+            parts += [f"### Beside {source}", _comparison_table(compared[block.name])]
             parts.append(_not_met(compared[block.name]))
         floors = _floor_table(block, results.rows)
         if floors:
             parts += ["### Above the floor", FLOOR_NOTE, floors]
+        gains = _gain_table(block, results)
+        if gains:
+            parts += ["### What it changes", GAIN_NOTE, gains]
     return "\n\n".join(part for part in parts if part) + "\n"
 
 
 FLOOR_NOTE = (
     "How many times the error of the floor row, which searches every frame from its true state: what the masks allow."
+)
+
+GAIN_NOTE = (
+    "By how much each error is smaller (−) or larger (+) than that of the row it is held against, and in how many of "
+    "the sequences the tips' error is smaller."
 )
 
 
@@ -71,12 +81,15 @@ def _not_met(comparisons: list[Comparison]) -> str:
     return f"Worse than published: {', '.join(worse) or 'nothing'}."
 
 
-def _times(about: dict[str, Any], source: str, machine: str) -> str:
+def _times(about: dict[str, Any], published: Published | None) -> str:
     timed = about["timing_environments"] or about["environments"]
     processors = sorted({environment["machine"]["processor"] for environment in timed})
     how = "one run at a time" if about["timing_environments"] else "beside other runs, if there were several jobs"
+    where = f"on one core of {' and of '.join(processors)}, {how}"
+    if published is None:
+        return f"Times were measured {where}."
     return (
-        f"The times of {source} were measured on {machine}, ours on one core of {' and of '.join(processors)}, {how}; "
+        f"The times of {published.short} were measured on {published.machine}, ours {where}; "
         "their ratio is of what a user waits for, not of the methods' arithmetic."
     )
 
@@ -149,6 +162,36 @@ def _floor_table(block: Block, rows: Sequence[Row]) -> str:
     return _table(lines, text_columns=2) if len(lines) > 1 else ""
 
 
+def _gain_table(block: Block, results: Results) -> str:
+    found = {row["row_id"]: row for row in results.rows}
+    lines = [["method", "against", *(measure.name for measure in ABOVE_FLOOR), "better in"]]
+    for row in block.rows:
+        if row.against is None:
+            continue
+        ours, other = found[row.id], found[row.against]
+        changes = [
+            _percent(ours[measure.key] / other[measure.key] - 1.0) if ours[measure.key] and other[measure.key] else "–"
+            for measure in ABOVE_FLOOR
+        ]
+        lines.append([_escape(row.label), f"`{row.against}`", *changes, _better_in(row.id, row.against, results)])
+    return _table(lines, text_columns=2) if len(lines) > 1 else ""
+
+
+def _better_in(row_id: str, against: str, results: Results) -> str:
+    """In how many of the sequences that both were run on the tips' error is smaller."""
+    errors = {
+        (one["row_id"], one["unit"], one["repeat"]): one[TIPS.key]
+        for one in results.sequences
+        if one[TIPS.key] is not None
+    }
+    pairs = [
+        (error, errors[against, unit, repeat])
+        for (id_, unit, repeat), error in errors.items()
+        if id_ == row_id and (against, unit, repeat) in errors
+    ]
+    return f"{sum(ours < other for ours, other in pairs)} of {len(pairs)}"
+
+
 def _failures(rows: Sequence[Row]) -> list[str]:
     lines = [
         f"- `{row['row_id']}` {row['status']}: {_escape(row['error'] or 'no message')}"
@@ -164,6 +207,10 @@ def _with_error(measure: Measure, value: float | None, sem: float | None) -> str
 
 def _ratio(value: float) -> str:
     return f"{value:.2f}×" if value < 10 else f"{value:.0f}×"
+
+
+def _percent(change: float) -> str:
+    return f"{100 * change:+.0f} %".replace("-", "−")
 
 
 def _table(lines: list[list[str]], text_columns: int) -> str:

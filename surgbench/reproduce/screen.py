@@ -29,7 +29,7 @@ def print_table(definition: Definition, results: Results, console: Console) -> N
         ]
         print_leaderboard(rows, console)
         comparisons = compare(block, results.rows, definition.published)
-        if comparisons:
+        if comparisons and definition.published is not None:
             _print_comparisons(comparisons, definition.published.short, console)
     if results.about["quick"]:
         console.print("A quick run: a few frames of a few sequences, not to be quoted.")

@@ -61,6 +61,7 @@ class TableRow(Row):
         label: What it is called in the table.
         published: Its row among the published figures.
         floor: Row id of the floor it is held against.
+        against: Row id that it may better: the same without what it is to show the worth of.
         timing: What its latencies are measured on, where that differs from the table's: for what is very slow.
         quick_options: Options put over ``options`` in a quick run, for what is slow however few the frames are.
     """
@@ -68,6 +69,7 @@ class TableRow(Row):
     label: str
     published: str | None = None
     floor: str | None = None
+    against: str | None = None
     timing: Timing | None = None
     quick_options: dict[str, dict[str, Any]] = Field(default={})
 
@@ -153,7 +155,7 @@ class Table(_Part):
     Attributes:
         title: Heading.
         note: What holds for all blocks.
-        published: Name of the file with the published figures.
+        published: Name of the file with the published figures, where there are any.
         quick: Fixed small share.
         timing: Where latencies come from.
         check: How much ``--check`` repeats.
@@ -163,7 +165,7 @@ class Table(_Part):
 
     title: str
     note: str = ""
-    published: str
+    published: str | None = None
     quick: Share
     timing: Timing
     check: Check
@@ -181,6 +183,9 @@ class Table(_Part):
         for _, row in self.rows():
             if row.floor is not None and row.floor not in ids:
                 raise ValueError(f"row '{row.id}': there is no row '{row.floor}' to be its floor")
+        for block, row in self.rows():
+            if row.against is not None and row.against not in [other.id for other in block.rows]:
+                raise ValueError(f"row '{row.id}': its block has no row '{row.against}' to be held against")
         names = [block.name for block in self.blocks]
         if len(set(names)) < len(names):
             raise ValueError("two blocks have the same name")
@@ -208,13 +213,13 @@ class Definition:
     Attributes:
         name: Of the table: the file's, without its ending.
         table: Its content.
-        published: The figures it names.
+        published: The figures it names; ``None`` where it names none.
         sha256: Of the file.
     """
 
     name: str
     table: Table
-    published: Published
+    published: Published | None
     sha256: str
 
 
@@ -227,7 +232,7 @@ def load_table(reference: str) -> Definition:
     """
     path = locate("tables", "table", reference)
     table = parse_model(Table, read_yaml(path, "table"), str(path))
-    published = load_published(table.published)
+    published = None if table.published is None else load_published(table.published)
     for block, row in table.rows():
         try:
             _check_row(block, row, published)
@@ -236,9 +241,11 @@ def load_table(reference: str) -> Definition:
     return Definition(path.stem, table, published, hashlib.sha256(path.read_bytes()).hexdigest())
 
 
-def _check_row(block: Block, row: TableRow, published: Published) -> None:
+def _check_row(block: Block, row: TableRow, published: Published | None) -> None:
     """See now what would otherwise be noticed after datasets are made and rows are run."""
     if row.published is not None:
+        if published is None:
+            raise ConfigError("names a published row, but the table names no published figures")
         if row.published not in published.rows:
             raise NotFoundError(unknown_name("published row", row.published, published.rows))
         if block.published_on not in published.rows[row.published].data:

@@ -1,4 +1,4 @@
-"""One run from its job to its record."""
+"""One run of an instrument tracker from its job to its record."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from surgbench.dataset.masks import read_image
 from surgbench.dataset.reader import Dataset, Sequence, Unit
 from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument
-from surgbench.report.records import RECORD_FORMAT, SKIPPED
 from surgbench.silhouette import Reference, SilhouetteEvaluator
 from surgbench.state import POSITION, STATE_SIZE
 from surgbench.suite.child import Child, ChildProblemError
-from surgbench.suite.plan import Job, Plug, Readings, Settings
+from surgbench.suite.head import head
+from surgbench.suite.plan import InstrumentSettings, Job, Plug, Readings
 from surgbench.suite.worker import Answer, Setup
 
 
@@ -31,9 +31,10 @@ class UnitData:
         dataset: The dataset.
         unit: One of its units.
         readings: Which joint readings observations hold.
+        view: Auxiliary view that observations hold besides the endoscope's.
     """
 
-    def __init__(self, dataset: Dataset, unit: Unit, readings: Readings) -> None:
+    def __init__(self, dataset: Dataset, unit: Unit, readings: Readings, view: str | None = None) -> None:
         self.unit = unit
         self.sequence: Sequence = dataset.sequence(unit.sequence)
         self.camera = self.sequence.camera
@@ -45,6 +46,7 @@ class UnitData:
         self._joints = self._joint_readings(readings)
         # From the same encoders as the joints' readings, and never better than those.
         self._kinematics = None if readings == "none" else self._stack([self.sequence.kinematics(a) for a in unit.arms])
+        self._auxiliary = None if view is None else self.sequence.auxiliary(view)
         self._limits = self.scene().joint_limits
 
     @staticmethod
@@ -68,10 +70,16 @@ class UnitData:
     def scene(self) -> Scene:
         """What stays the same over the sequence."""
         bases = [base for arm in self.unit.arms if (base := self.sequence.T_cam_base(arm)) is not None]
-        empty = np.zeros((self.camera.height, self.camera.width), dtype=bool)
+        cameras = [(self.camera, np.eye(4))]
+        if self._auxiliary is not None:
+            cameras.append((self._auxiliary.camera, self._auxiliary.T_view_cam(self.unit.kind)[0]))
+        nothing = (None,) * len(self.unit.arms)
         return Scene(
             instruments=self.instruments,
-            views=(View(self.camera, np.eye(4), empty, keypoints=(None,) * len(self.unit.arms)),),
+            views=tuple(
+                View(camera, T_view_cam, np.zeros((camera.height, camera.width), dtype=bool), keypoints=nothing)
+                for camera, T_view_cam in cameras
+            ),
             limits=tuple(instrument.search_limits for instrument in self.instruments),
             dt_s=self.sequence.dt_s,
             arms=len(self.unit.arms),
@@ -81,7 +89,7 @@ class UnitData:
 
     def observation(self, frame: int, mask: Mask) -> Observation:
         """What a tracker may know of a frame; ``start`` is the engine's to fill in."""
-        keypoints = tuple(None if np.isnan(arm[frame]).any() else arm[frame] for arm in self._keypoints)
+        keypoints = _seen(self._keypoints, frame)
         path = self.sequence.image_path(frame)
         # Only the file's place: a bound method would carry the sequence, its readings and its truth along.
         image = no_image if path is None else partial(read_image, path, self.camera.width, self.camera.height)
@@ -95,16 +103,40 @@ class UnitData:
         return Observation(
             index=frame,
             timestamp_s=float(self.sequence.timestamps_s[frame]),
-            views=(View(self.camera, np.eye(4), mask, keypoints=keypoints, image=image),),
+            views=(View(self.camera, np.eye(4), mask, keypoints=keypoints, image=image), *self._further_views(frame)),
             start=np.zeros(STATE_SIZE * len(self.unit.arms)),
             joints=joints,
             kinematics=kinematics,
         )
 
+    def _further_views(self, frame: int) -> tuple[View, ...]:
+        view, kind = self._auxiliary, self.unit.kind
+        if view is None:
+            return ()
+        keypoints = _seen([view.keypoints(kind, arm) for arm in self.unit.arms], frame)
+        return (View(view.camera, view.T_view_cam(kind)[frame], view.mask(kind, frame), keypoints=keypoints),)
+
+
+def _seen(keypoints: list[FloatArray], frame: int) -> tuple[FloatArray | None, ...]:
+    """Of each arm both tips of a frame, or ``None``."""
+    return tuple(None if np.isnan(arm[frame]).any() else arm[frame] for arm in keypoints)
+
+
+def own_settings(job: Job) -> InstrumentSettings:
+    """The job's settings, which must be of this task."""
+    assert isinstance(job.settings, InstrumentSettings)
+    return job.settings
+
+
+def unit_data(job: Job, dataset: Dataset) -> UnitData:
+    """The frames of a job's unit."""
+    assert isinstance(job.unit, Unit)
+    return UnitData(dataset, job.unit, own_settings(job).readings, own_settings(job).view)
+
 
 def child_setup(job: Job, scene: Scene) -> Setup:
     """What the child of a job is told before the first frame."""
-    settings: Settings = job.settings
+    settings = own_settings(job)
     # The dataset's name and not its hash, so that a part of it is run with the same random numbers.
     axes: dict[str, str | int] = {
         "seed": settings.protocol.seed,
@@ -129,39 +161,9 @@ def child_setup(job: Job, scene: Scene) -> Setup:
 
 def true_states(job: Job, data: UnitData) -> FloatArray | None:
     """What a filter with ``needs_truth`` is given, ``(T, 9 * arms)``; ``None`` for any other."""
-    if data.truth is None or not job.settings.filter.needs_truth:
+    if data.truth is None or not own_settings(job).filter.needs_truth:
         return None
     return data.truth.reshape(data.frames, -1)
-
-
-def skipped(job: Job, dataset: Dataset, environment: dict[str, Any], reason: str) -> dict[str, Any]:
-    """The record of a job that this machine cannot run, for ``reason``, one line."""
-    return {
-        **_head(job, dataset, environment),
-        "status": SKIPPED,
-        "error": reason,
-        "traceback": None,
-        "initialise_s": None,
-        "frames": _frames([]),
-        "errors": {},
-    }
-
-
-def _head(job: Job, dataset: Dataset, environment: dict[str, Any]) -> dict[str, Any]:
-    """What a record says of its job."""
-    return {
-        "format": RECORD_FORMAT,
-        "spec_hash": job.hash,
-        "settings_hash": job.settings.hash,
-        "variant": job.settings.variant,
-        "floor": job.settings.filter.needs_truth,
-        "spec": job.spec(),
-        "references": job.settings.references,
-        "environment": environment,
-        "dataset_path": str(dataset.path.resolve()),
-        "dataset_frames": job.dataset_frames,
-        "unit_frames": job.frames,
-    }
 
 
 def execute(
@@ -190,12 +192,13 @@ def execute(
     Raises:
         SurgbenchError: The dataset itself is at fault.
     """
-    data = UnitData(dataset, job.unit, job.settings.readings)
+    settings = own_settings(job)
+    data = unit_data(job, dataset)
     evaluator = SilhouetteEvaluator(data.instruments, data.camera)
     answers: list[Answer] = []
     mask_errors: list[tuple[float, float | None]] = []
     status, error, trace, initialise_s = "ok", None, None, None
-    child = Child(job.settings.protocol.timeout_s)
+    child = Child(settings.protocol.timeout_s)
     children.add(child)
     try:
         if stopping.is_set():
@@ -205,11 +208,11 @@ def execute(
         for frame in range(job.frames):
             if stopping.is_set():
                 raise ChildProblemError("failed", "stopped")
-            mask = data.sequence.mask(job.unit.kind, frame)
+            mask = data.sequence.mask(data.unit.kind, frame)
             observation = data.observation(frame, mask)
             if frame == 0:
                 truth = None
-                if data.truth is not None and job.settings.initialiser.needs_truth:
+                if data.truth is not None and settings.initialiser.needs_truth:
                     truth = data.truth[0].reshape(-1)
                 child.send("first", observation, truth, true_states(job, data))
                 while (message := child.receive())[0] == "progress":
@@ -217,7 +220,7 @@ def execute(
                 initialising(1.0)
                 initialise_s = message[2]
             child.send("step", observation)
-            clean = None if data.truth is None else data.sequence.clean_mask(job.unit.kind, frame)
+            clean = None if data.truth is None else data.sequence.clean_mask(data.unit.kind, frame)
             answer: Answer = child.receive()[1]
             answers.append(answer)
             mask_errors.append(_mask_errors(evaluator, answer.state, mask, clean))
@@ -228,7 +231,7 @@ def execute(
         children.discard(child)
         child.stop()
     return {
-        **_head(job, dataset, environment),
+        **head(job, dataset, environment),
         "status": status,
         "error": error,
         "traceback": trace,

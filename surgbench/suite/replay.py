@@ -9,7 +9,7 @@ import numpy as np
 from surgbench.contract import Trace
 from surgbench.dataset.reader import Dataset, Unit
 from surgbench.errors import SurgbenchError
-from surgbench.suite.execute import UnitData, child_setup, true_states
+from surgbench.suite.execute import child_setup, true_states, unit_data
 from surgbench.suite.plan import Job, Protocol, Row, complete
 from surgbench.suite.worker import Loop
 
@@ -35,16 +35,16 @@ def replay_traces(record: dict[str, Any], dataset: Dataset, frames: list[int]) -
     if dataset.hash != spec["dataset"]["sha256"]:
         raise SurgbenchError(f"{dataset.path}: not the dataset of the run '{spec['row_id']}' (another hash)")
     job = _job(record, dataset)
-    data = UnitData(dataset, job.unit, job.settings.readings)
+    data = unit_data(job, dataset)
     setup = child_setup(job, data.scene())
     loop = Loop(setup)
-    first = data.observation(0, data.sequence.mask(job.unit.kind, 0))
+    first = data.observation(0, data.sequence.mask(data.unit.kind, 0))
     loop.begin(first, np.array(recorded["start"][0]), true_states(job, data))
     traces: dict[int, Trace] = {}
     last = min(max(frames, default=-1), len(recorded["index"]) - 1)
     for frame in range(last + 1):
         trace = Trace() if frame in frames else None
-        observation = data.observation(frame, data.sequence.mask(job.unit.kind, frame))
+        observation = data.observation(frame, data.sequence.mask(data.unit.kind, frame))
         answer = loop.step(observation, trace)
         if not np.array_equal(answer.state, recorded["state"][frame]):
             raise SurgbenchError(
@@ -67,6 +67,7 @@ def _job(record: dict[str, Any], dataset: Dataset) -> Job:
         filter=references["filter"],
         keypoints=references["keypoints"],
         readings=spec["readings"],
+        view=spec.get("view"),
         options={plug["name"]: plug["options"] for plug in plugs if plug["options"]},
         frames=spec.get("frames_limit"),
     )

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from surgbench.dataset.reader import Dataset
 from surgbench.errors import DatasetError, SurgbenchError
@@ -16,8 +16,12 @@ from surgbench.files import PARTIAL_SUFFIX, canonical_json, write_atomic
 from surgbench.report.records import RECORD_FORMAT, SKIPPED
 from surgbench.suite.child import Child
 from surgbench.suite.environment import environment
-from surgbench.suite.execute import execute, skipped
+from surgbench.suite.execute import execute
+from surgbench.suite.head import skipped
 from surgbench.suite.plan import Job
+
+if TYPE_CHECKING:
+    from surgbench.dataset.open import AnyDataset
 
 
 @dataclass(frozen=True)
@@ -112,7 +116,7 @@ def _recorded_status(path: Path, job: Job) -> str | None:
 
 def run(
     plan: Plan,
-    dataset: Dataset,
+    dataset: AnyDataset,
     out: Path,
     workers: int,
     advance: Callable[[float], None],
@@ -156,15 +160,15 @@ def run(
         try:
             if unavailable is not None:
                 return written(job, skipped(job, dataset, where, unavailable))
-            record = execute(
-                job,
-                dataset,
-                where,
-                count,
-                lambda fraction: stage(label, fraction),
-                children,
-                stopping,
-            )
+            if job.settings.task == "viewpoint":
+                from surgbench.viewpoint.execute import execute_viewpoint
+
+                record = execute_viewpoint(job, dataset, where, count, children, stopping)
+            else:
+                assert isinstance(dataset, Dataset)
+                record = execute(
+                    job, dataset, where, count, lambda fraction: stage(label, fraction), children, stopping
+                )
             if stopping.is_set():
                 return None
             advance(job.frames - frames_done)

@@ -8,10 +8,6 @@ parent in one line, with the traceback beside it.
 from __future__ import annotations
 
 import contextlib
-import os
-import signal
-import sys
-import threading
 import time
 import traceback
 from collections.abc import Callable
@@ -27,8 +23,7 @@ from surgbench.randomness import generator
 from surgbench.registry import create, find
 from surgbench.state import JOINTS, STATE_SIZE, clip_joints, split_arms
 from surgbench.suite.plan import Plug
-
-WATCH_INTERVAL_S = 1.0
+from surgbench.suite.process import serve_parent
 
 
 @dataclass(frozen=True)
@@ -196,17 +191,6 @@ class Loop:
         return replace(observation, views=views), time.perf_counter() - begin
 
 
-def end_with_parent(parent: int) -> None:
-    """End this process when its parent is gone, whatever the tracker is busy with."""
-
-    def watch() -> None:
-        while os.getppid() == parent:
-            time.sleep(WATCH_INTERVAL_S)
-        os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()
-
-
 def serve(connection: Connection) -> None:
     """Answer the parent's messages until it hangs up.
 
@@ -248,8 +232,4 @@ if __name__ == "__main__":
     # What crosses to the parent must be of this module's importable self, not of __main__.
     from surgbench.suite import worker
 
-    worker.end_with_parent(os.getppid())
-    # Ctrl-C is the parent's to handle; what a tracker prints must not end up in the command's output.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    os.dup2(2, 1)
-    worker.serve(Connection(int(sys.argv[1])))
+    serve_parent(worker.serve)

@@ -15,7 +15,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from surgbench.errors import SurgbenchError
+from surgbench.errors import DatasetError
 from surgbench.geometry import FloatArray, inverse_transform, is_rigid
 from surgbench.viewpoint.camera_arm import CameraArm
 from surgbench.viewpoint.contract import ViewCommand, ViewpointObservation, ViewpointScene
@@ -93,25 +93,18 @@ def make_scene(
     Raises:
         WorkspaceError: The no-go zone's points span no box.
         RegistrationError: The touched points register nothing.
-        SurgbenchError: The camera arm starts outside its limits.
+        DatasetError: The camera arm starts outside its limits.
     """
     arm = CameraArm()
     workspace = Workspace(NoGoZone(trial.zone_m, missing_face))
     base = register(trial.T_world_base, trial.touches, registration)
     if not (np.isfinite(trial.start).all() and arm.within_limits(trial.start, 1e-9)):
-        raise SurgbenchError(f"trial '{trial.id}': the camera arm starts outside its joint limits")
+        raise DatasetError(f"trial '{trial.id}': the camera arm starts outside its joint limits")
     return ViewpointScene(arm, base, workspace, distance_m, trial.dt_s, servo_lag_s)
 
 
-def simulate(
-    controller: Controller,
-    trial: Trial,
-    scene: ViewpointScene,
-    rng: np.random.Generator,
-    steps: int | None = None,
-    progress: Callable[[int], None] = lambda _: None,
-) -> Course:
-    """Run a controller over a trial.
+class Simulation:
+    """One controller on one trial.
 
     Args:
         controller: Is reset here.
@@ -119,23 +112,68 @@ def simulate(
         scene: From :func:`make_scene`.
         rng: The controller's.
         steps: Only so many; all of the trial's unless told.
-        progress: Called with the steps done since the last call, now and then.
-
-    Raises:
-        InvalidCommandError: An answer is no command.
     """
-    count = len(trial.timestamps_s) if steps is None else min(steps, len(trial.timestamps_s))
-    servo = JointServo(scene.arm, trial.start, scene.dt_s, scene.servo_lag_s)
-    joints, setpoints, goals = np.empty((count + 1, 6)), np.empty((count + 1, 6)), np.empty((count, 6))
-    clipped, solver = np.zeros(count, dtype=bool), np.zeros(count, dtype=bool)
-    active = np.zeros((count, len(CONSTRAINTS)), dtype=bool)
-    latency_ms = np.full(count, np.nan)
-    measured = trial.measured[:count]
-    receive = Receiver(scene)
-    joints[0], setpoints[0] = servo.joints, servo.setpoint
-    controller.reset(scene, servo.joints.copy(), rng)
-    for index in range(count):
-        if measured[index]:
+
+    def __init__(
+        self,
+        controller: Controller,
+        trial: Trial,
+        scene: ViewpointScene,
+        rng: np.random.Generator,
+        steps: int | None = None,
+    ) -> None:
+        self._controller, self._trial, self._scene = controller, trial, scene
+        count = len(trial.timestamps_s) if steps is None else min(steps, len(trial.timestamps_s))
+        self._servo = JointServo(scene.arm, trial.start, scene.dt_s, scene.servo_lag_s)
+        self._receive = Receiver(scene)
+        self._measured = trial.measured[:count]
+        self._joints, self._setpoints, self._goals = (
+            np.empty((count + 1, 6)),
+            np.empty((count + 1, 6)),
+            np.empty((count, 6)),
+        )
+        self._clipped, self._solver = np.zeros(count, dtype=bool), np.zeros(count, dtype=bool)
+        self._active = np.zeros((count, len(CONSTRAINTS)), dtype=bool)
+        self._latency_ms = np.full(count, np.nan)
+        self._joints[0], self._setpoints[0] = self._servo.joints, self._servo.setpoint
+        self._done = 0
+        controller.reset(scene, self._servo.joints.copy(), rng)
+
+    def run(self, progress: Callable[[int], None] = lambda _: None) -> Course:
+        """All steps.
+
+        Args:
+            progress: Called with the steps done since the last call, now and then.
+
+        Raises:
+            InvalidCommandError: An answer is no command. What was done until then is :attr:`course`.
+        """
+        for index in range(len(self._goals)):
+            self._step(index)
+            self._done += 1
+            if self._done % REPORT_EVERY == 0:
+                progress(REPORT_EVERY)
+        progress(self._done % REPORT_EVERY)
+        return self.course
+
+    @property
+    def course(self) -> Course:
+        """What has been done so far."""
+        done = self._done
+        return Course(
+            joints=self._joints[: done + 1],
+            setpoints=self._setpoints[: done + 1],
+            goals=self._goals[:done],
+            clipped=self._clipped[:done],
+            asked=self._measured[:done],
+            active=self._active[:done],
+            solver=self._solver[:done],
+            latency_ms=self._latency_ms[:done],
+        )
+
+    def _step(self, index: int) -> None:
+        servo, trial = self._servo, self._trial
+        if self._measured[index]:
             observation = ViewpointObservation(
                 index,
                 float(trial.timestamps_s[index]),
@@ -145,24 +183,21 @@ def simulate(
                 servo.velocity.copy(),
             )
             begin = time.perf_counter()
-            answer = controller.step(observation)
-            latency_ms[index] = 1e3 * (time.perf_counter() - begin)
-            command = receive(answer, servo.joints)
-            goals[index], clipped[index], solver[index] = command.goal, command.clipped, command.solver
+            answer = self._controller.step(observation)
+            self._latency_ms[index] = 1e3 * (time.perf_counter() - begin)
+            command = self._receive(answer, servo.joints)
+            self._goals[index], self._clipped[index] = command.goal, command.clipped
+            self._solver[index] = command.solver
             for name in command.active:
-                active[index, CONSTRAINTS.index(name)] = True
+                self._active[index, CONSTRAINTS.index(name)] = True
             if command.velocity is None:
                 servo.move(command.goal)
             else:
                 servo.servo(command.goal, command.velocity)
         else:
-            goals[index] = servo.setpoint
+            self._goals[index] = servo.setpoint
             servo.hold()
-        joints[index + 1], setpoints[index + 1] = servo.joints, servo.setpoint
-        if (index + 1) % REPORT_EVERY == 0:
-            progress(REPORT_EVERY)
-    progress(count % REPORT_EVERY)
-    return Course(joints, setpoints, goals, clipped, measured, active, solver, latency_ms)
+        self._joints[index + 1], self._setpoints[index + 1] = servo.joints, servo.setpoint
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,6 +7,8 @@ largest inscribed radius of a disc that covers it, so that a slender jaw counts 
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 
@@ -46,14 +48,14 @@ def thickness_weights(mask: Mask) -> FloatArray:
 
 
 class ThicknessObjective(Objective):
-    """The tracking loss with the pixel mismatch weighted by :func:`thickness_weights`."""
+    """The tracking loss with the pixel mismatch weighted by :func:`thickness_weights`; of the reference view alone."""
 
     def __init__(self, scene: Scene, weights: LossWeights) -> None:
-        super().__init__(scene, weights.model_copy(update={"appearance": 0.0}))
+        super().__init__(replace(scene, views=scene.views[:1]), weights.model_copy(update={"appearance": 0.0}))
 
     def observe(self, observation: Observation) -> None:
         """Take the frame that the next calls score against."""
-        super().observe(observation)
+        super().observe(replace(observation, views=observation.views[:1]))
         weights = np.round(UNIT * thickness_weights(observation.mask)).astype(np.int32)
         self._uncovered = int(weights[observation.mask].sum(dtype=np.int64))
         self._gain = RowSums(np.where(observation.mask, -weights, weights))

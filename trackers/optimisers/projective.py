@@ -129,7 +129,7 @@ class ProjectiveObjective(Objective):
     """The loss, its gradient through Mitsuba; the losses themselves are the engine's exact ones.
 
     Args:
-        scene: Instruments and reference camera.
+        scene: Instruments and cameras.
         weights: Of the terms.
         variant: As for :class:`ProjectiveSilhouette`.
         rng: Likewise.
@@ -137,24 +137,22 @@ class ProjectiveObjective(Objective):
 
     def __init__(self, scene: Scene, weights: LossWeights, variant: str, rng: np.random.Generator) -> None:
         super().__init__(scene, weights)
-        self._silhouette = ProjectiveSilhouette(scene.instruments, self.camera, variant, rng)
+        self._silhouettes = [ProjectiveSilhouette(scene.instruments, v.camera, variant, rng) for v in scene.views]
 
-    def mismatch_gradient(self, states: FloatArray) -> FloatArray:
-        """Derivative of the rendering loss (eq. 6), ``(n, 9 * arms)`` pixels per radian or metre.
+    def _view_gradient(self, place: int, states: FloatArray) -> FloatArray:
+        """Derivative of one view's eq. 6 with respect to states of that view's own frame.
 
         Pixels of both images are 0 or 1, so that ``(S - M)^2 = S (1 - 2 M) + M``: the loss is a weighted sum over the
         silhouette, and no image of it is needed.
-
-        Raises:
-            RuntimeError: No frame has been observed.
         """
-        reference = self._seen()
-        area, _ = self.evaluator.sum_over(states, reference)
+        view = self.views[place]
+        reference = view.reference
+        area, _ = view.evaluator.sum_over(states, reference)
         excess = np.sign(area - reference.area)
         plain = 1.0 - 2.0 * reference.mask
         return np.stack(
             [
-                self._silhouette.gradient(state, (plain + self._appearance * sign).astype(np.float32))
+                self._silhouettes[place].gradient(state, (plain + view.appearance * sign).astype(np.float32))
                 if np.isfinite(state).all()
                 else np.zeros_like(state)
                 for state, sign in zip(states, excess, strict=True)

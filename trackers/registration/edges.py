@@ -117,11 +117,18 @@ def normal_equations(
     return A, b
 
 
+def explained_lengths(
+    contour: ContourPoints, offsets_px: FloatArray, common_px: float, tolerance_px: float
+) -> tuple[float, float]:
+    """Length of the predicted contour that has an observed edge within a tolerance, and of all of it, pixels."""
+    near = np.abs(offsets_px - common_px) <= tolerance_px  # false for NaN
+    return float(contour.lengths_px[near].sum()), float(contour.lengths_px.sum())
+
+
 def explained_contour(contour: ContourPoints, offsets_px: FloatArray, common_px: float, tolerance_px: float) -> float:
     """Share of the predicted contour's length that has an observed edge within a tolerance; 1 for no contour."""
-    total = float(contour.lengths_px.sum())
-    near = np.abs(offsets_px - common_px) <= tolerance_px  # false for NaN
-    return float(contour.lengths_px[near].sum()) / total if total > 0 else 1.0
+    near, total = explained_lengths(contour, offsets_px, common_px, tolerance_px)
+    return near / total if total > 0 else 1.0
 
 
 def explained_edge(mask: Mask, silhouette: Mask, tolerance_px: int) -> float:

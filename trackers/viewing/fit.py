@@ -140,10 +140,11 @@ def residuals(
         vx, vy, vz = motion[0, joint], motion[1, joint], motion[2, joint]
         if floor > 0.0:
             J[8, joint] = -weights[RULE] * (vx * rules[1, 0] + vy * rules[1, 1] + vz * rules[1, 2])
+        along = c[0] * vx + c[1] * vy + c[2] * vz
         if side > 0.0:
-            J[9, joint] = -weights[RULE] * (vx * rules[2, 0] + vy * rules[2, 1] + vz * rules[2, 2])
+            across = vx * rules[2, 0] + vy * rules[2, 1] + vz * rules[2, 2]
+            J[9, joint] = -weights[RULE] * (across + rules[2, 3] * along)
         if pole > 0.0:
-            along = c[0] * vx + c[1] * vy + c[2] * vz
             up = vx * rules[0, 0] + vy * rules[0, 1] + vz * rules[0, 2]
             c_up = c[0] * rules[0, 0] + c[1] * rules[0, 1] + c[2] * rules[0, 2]
             J[10, joint] = weights[RULE] * distance_m * (up - along * c_up) / length

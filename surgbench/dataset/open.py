@@ -1,0 +1,22 @@
+"""Opening a dataset of whichever task it is."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from surgbench.dataset.reader import Dataset
+
+if TYPE_CHECKING:
+    from surgbench.viewpoint.dataset import ViewpointDataset
+
+    AnyDataset = Dataset | ViewpointDataset
+
+
+def open_dataset(path: Path | str) -> AnyDataset:
+    """Open a dataset's folder; only the manifest is read.
+
+    Raises:
+        DatasetError: There is no complete dataset here, or its manifest is wrong; one line.
+    """
+    return Dataset.open(path)

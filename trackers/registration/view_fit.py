@@ -1,0 +1,210 @@
+"""What one view adds to a contour fit: the normal equations of its edges and tips."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Annotated, NamedTuple
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from surgbench.change_of_view import ChangeOfView, angle_rates
+from surgbench.contract import View
+from surgbench.geometry import FloatArray, rigid_transform, rotation_from_vector
+from surgbench.instrument import Instrument
+from surgbench.silhouette import ContourPoints, KeypointProjector, SilhouetteEvaluator
+from surgbench.state import ANGLES, POSITION, STATE_SIZE, split_arms
+from surgbench.trackers.registration.edges import explained_lengths, find_edges, normal_equations
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+FEWEST_POINTS = 8
+NARROWING = 0.6  # of the robust width, from one iteration to the next
+EXPLAINED_PX = 2.0
+
+
+class FitConfig(BaseModel):
+    """Options of the contour fit."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    iterations: Annotated[int, Field(ge=1, description="Gauss-Newton steps at most")] = 6
+    spacing_px: Annotated[int, Field(ge=1, description="rows and columns from one contour point to the next")] = 1
+    reach_px: Annotated[int, Field(ge=1, description="how far edges are looked for")] = 14
+    edge_px: Annotated[Positive, Field(description="standard deviation of an edge, for one pixel of contour")] = 1.5
+    width_px: Annotated[Positive, Field(description="offsets beyond it count ever less (Geman-McClure)")] = 2.0
+    offset_px: Annotated[Positive, Field(description="standard deviation of the offset common to all edges")] = 0.5
+    tip_px: Annotated[Positive, Field(description="standard deviation of a tip keypoint")] = 3.0
+
+
+# How wrong T_view_cam of a further view may be, and how much that changes from frame to frame: rotation vector and
+# translation in that view's frame.
+CALIBRATION = np.array([0.01, 0.01, 0.01, 3e-3, 3e-3, 3e-3])
+CHANGE = np.array([5e-4, 5e-4, 5e-4, 1e-4, 1e-4, 1e-4])
+
+
+class Equations(NamedTuple):
+    """What a view says of a step of the state.
+
+    Attributes:
+        information: ``(n, n)``, natural steps.
+        pull: ``(n,)``: ``information @ step = pull``.
+        explained_px: Length of the predicted contour that has an observed edge.
+        length_px: Length of all of it.
+    """
+
+    information: FloatArray
+    pull: FloatArray
+    explained_px: float
+    length_px: float
+
+
+class ViewFit:
+    """One view of a frame that a state is being fitted to.
+
+    Beside the state it has unknowns of its own, which are eliminated: the offset common to all edges, and in a view
+    that is not ``calibrated`` what its pose is wrong by. Without the latter an error of a millimetre there, several
+    pixels, would be explained by an instrument that is somewhere else. It is much the same in all frames, and is
+    learned.
+
+    Args:
+        instruments: One per arm.
+        evaluator: Of the view's camera.
+        scale: ``(n,)`` natural step of each component of the state.
+        config: Options.
+        calibrated: Whether the view is the frame that states are given in.
+
+    Attributes:
+        offset_px: Of all edges together: above 0 where the mask is dilated.
+    """
+
+    def __init__(
+        self,
+        instruments: Sequence[Instrument],
+        evaluator: SilhouetteEvaluator,
+        scale: FloatArray,
+        config: FitConfig,
+        *,
+        calibrated: bool,
+    ) -> None:
+        self._evaluator = evaluator
+        self._projector = KeypointProjector(instruments, evaluator.camera)
+        self._size = len(scale)
+        self._config = config
+        self._calibrated = calibrated
+        self._scale = scale if calibrated else np.concatenate([scale, CALIBRATION])
+        # What the pose is wrong by, in CALIBRATION's units: what is known before a frame, and after its first fit.
+        self._known = self._learned = np.zeros(6), np.eye(6)
+
+    def next_frame(self) -> None:
+        """What was learned in the last frame is known in the next, but for what has changed since."""
+        mean, information = self._learned
+        self._known = mean, np.linalg.inv(np.linalg.inv(information) + np.diag((CHANGE / CALIBRATION) ** 2))
+
+    def begin(self, view: View) -> None:
+        """Begin a fit to a frame's view."""
+        self._view = view
+        self.offset_px = 0.0
+        self._width: float | None = None
+        self._place(np.zeros(0) if self._calibrated else self._known[0])
+
+    def _place(self, pose: FloatArray) -> None:
+        """Take the view's pose to be wrong by so much, ``(6,)`` in CALIBRATION's units."""
+        self._pose = pose
+        T_view_cam = self._view.T_view_cam
+        if not self._calibrated:
+            error = pose * CALIBRATION
+            T_view_cam = rigid_transform(rotation_from_vector(error[:3]), error[3:]) @ T_view_cam
+        self._change = ChangeOfView(T_view_cam)
+
+    def equations(self, state: FloatArray, spacing_px: int) -> Equations:
+        """Linearise at ``state`` ``(n,)``."""
+        config, n = self._config, self._size
+        own = self._change.states(state)
+        contour = self._evaluator.contour_points(own, spacing_px)
+        contour = contour._replace(jacobian=self._jacobian(state, own, contour.jacobian))
+        A, b, explained_px, length_px = self._edges(contour)
+        self._add_tips(A, b, state, own)
+        A[-1, -1] += 1.0 / config.offset_px**2
+        if not self._calibrated:
+            mean, information = self._known
+            A[n:-1, n:-1] += information
+            b[n:-1] += information @ (mean - self._pose)
+        self._eliminated = []
+        for k in range(len(b) - 1, n - 1, -1):
+            self._eliminated.append((A[k, :k], b[k], A[k, k]))
+            A, b = A[:k, :k] - np.outer(A[:k, k], A[k, :k]) / A[k, k], b[:k] - A[:k, k] * (b[k] / A[k, k])
+            if k == n + len(self._pose):
+                self._with_pose = A
+        return Equations(A, b, explained_px, length_px)
+
+    def follow(self, step: FloatArray) -> None:
+        """Adjust the view's own unknowns to the ``(n,)`` step that all views together ask for."""
+        for row, right, pivot in reversed(self._eliminated):
+            step = np.append(step, (right - row @ step) / pivot)
+        self.offset_px = float(step[-1])
+        if not self._calibrated:
+            self._place(self._pose + step[self._size : -1])
+        assert self._width is not None
+        self._width = max(self._config.width_px, NARROWING * self._width)
+
+    def learn(self, others: FloatArray) -> None:
+        """Keep what this fit says of the view's pose, for the frames to come.
+
+        Args:
+            others: ``(n, n)`` what is known of the state from elsewhere, natural steps.
+        """
+        if self._calibrated:
+            return
+        A, n = self._with_pose, self._size
+        about_state = np.linalg.solve(A[:n, :n] + others, A[:n, n:])
+        self._learned = self._pose, A[n:, n:] - A[n:, :n] @ about_state
+
+    def _jacobian(self, state: FloatArray, own: FloatArray, gradient: FloatArray) -> FloatArray:
+        """From derivatives ``(K, n)`` for the view's own state to those for all unknowns but the offset.
+
+        The view's pose moves every point p of its frame by ``w x p + t``.
+        """
+        if self._calibrated:
+            return self._change.pull_back(state, gradient)
+        arms = gradient.reshape(len(gradient), -1, STATE_SIZE)
+        places = split_arms(own)
+        turned = np.einsum("kai,aij->kj", arms[..., ANGLES], angle_rates(places[:, ANGLES]))
+        turned += np.cross(places[:, POSITION], arms[..., POSITION]).sum(axis=1)
+        pose = np.concatenate([turned, arms[..., POSITION].sum(axis=1)], axis=1)
+        return np.concatenate([self._change.pull_back(state, gradient), pose], axis=1)
+
+    def _edges(self, contour: ContourPoints) -> tuple[FloatArray, FloatArray, float, float]:
+        """Normal equations of the edges, and which length of the contour is explained, of which length."""
+        config = self._config
+        offsets = find_edges(contour, self._view.mask, config.reach_px)
+        found = offsets[~np.isnan(offsets)]
+        if len(found) < FEWEST_POINTS:
+            size = len(self._scale) + 1
+            self._width = config.width_px
+            return np.zeros((size, size)), np.zeros(size), 0.0, float(contour.lengths_px.sum())
+        if self._width is None:
+            # Twice what the median of absolute deviations makes of the standard deviation.
+            self._width = max(config.width_px, 2.0 * 1.4826 * float(np.median(np.abs(found))))
+        A, b = normal_equations(offsets, contour, self._scale, self._width)
+        variance = config.edge_px**2
+        return A / variance, b / variance, *explained_lengths(contour, offsets, self.offset_px, EXPLAINED_PX)
+
+    def _add_tips(self, A: FloatArray, b: FloatArray, state: FloatArray, own: FloatArray) -> None:
+        """Add the tips' part to the normal equations, in place; each tip goes with the nearer way round."""
+        sd = self._config.tip_px
+        size = len(self._scale)
+        seen = [(arm, tips) for arm, tips in enumerate(self._view.keypoints) if tips is not None]
+        if not seen:
+            return
+        projected = self._projector.project(own[None])[0]
+        for arm, tips in seen:
+            off = min((tips - projected[arm], tips[::-1] - projected[arm]), key=lambda way: float((way**2).sum()))
+            if not np.isfinite(off).all():  # behind the camera
+                continue
+            forces = np.zeros((4, len(projected), 2, 2))
+            forces[:, arm] = np.eye(4).reshape(4, 2, 2)
+            J = self._jacobian(state, own, self._projector.pull_back(np.tile(own, (4, 1)), forces)) * self._scale
+            distance = np.linalg.norm(off, axis=1).repeat(2)
+            weight = 1.0 / (sd * (1.0 + (distance / (3.0 * sd)) ** 2)) ** 2
+            A[:size, :size] += (J * weight[:, None]).T @ J
+            b[:size] += (J * weight[:, None]).T @ off.reshape(4)
