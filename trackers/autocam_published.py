@@ -34,9 +34,7 @@ class PublishedConfig(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     feature_window: Annotated[Count, Field(description="measured poses of the feature averaged")] = 5
-    position_window: Annotated[Count, Field(description="commanded positions averaged (at 79 Hz: 1.8 s)")] = (
-        140
-    )
+    position_window: Annotated[Count, Field(description="commanded positions averaged (at 79 Hz: 1.8 s)")] = 140
     rotation_window: Annotated[Count, Field(description="commanded rotations averaged")] = 20
     interpolate_beyond_m: Annotated[
         NotNegative, Field(description="a place farther than this from the present one is gone to in part")
