@@ -94,14 +94,20 @@ def test_joints_whose_bounds_are_one_stay() -> None:
     np.testing.assert_allclose(pose[:3, 2], towards / np.linalg.norm(towards), atol=1e-3)
 
 
-def test_a_joint_stops_at_its_goal_and_does_not_pass_it() -> None:
-    place, velocity, acceleration, dt = 0.0, 0.0, 1.5, 0.0126
+def test_joints_meet_their_goals_together_and_do_not_pass_them() -> None:
+    place, velocity, after, dt = np.zeros(2), np.zeros(2), np.empty(2), 0.0126
+    goal, acceleration = np.array([0.4, -0.1]), np.array([1.5, 0.5])
+    arrivals = np.zeros(2)
     for _ in range(200):
-        least, most = place + (velocity - acceleration * dt) * dt, place + (velocity + acceleration * dt) * dt
-        after = chase(place, velocity, 0.4, 0.0, least, most, acceleration, dt)
-        place, velocity = after, (after - place) / dt
-        assert place <= 0.4 + 1e-5
-    assert (place, velocity) == pytest.approx((0.4, 0.0), abs=1e-9)
+        change = acceleration * dt
+        box = np.array([place + (velocity - change) * dt, place + (velocity + change) * dt])
+        chase(place, goal, np.zeros(2), box, acceleration, dt, after)
+        velocity, place = (after - place) / dt, after.copy()
+        assert (np.abs(place) <= np.abs(goal) + 1e-5).all()
+        arrivals += np.abs(place - goal) > 1e-6
+    np.testing.assert_allclose(place, goal)
+    np.testing.assert_allclose(velocity, 0.0, atol=1e-9)
+    assert abs(arrivals[0] - arrivals[1]) <= 1
 
 
 def test_the_filter_follows_an_even_motion_without_lag() -> None:

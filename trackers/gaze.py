@@ -25,16 +25,19 @@ class GazeConfig(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     filter_gain: Annotated[float, Field(gt=0, le=1, description="alpha of the filter of the feature's motion")] = 0.7
-    normal_gain: Annotated[float, Field(gt=0, le=1, description="the same for the feature's normal")] = 0.15
+    normal_gain: Annotated[float, Field(gt=0, le=1, description="the same for the feature's normal")] = 0.5
+    feed_forward: Annotated[float, Field(ge=0, le=1, description="share of the goal's velocity that is counted on")] = (
+        0.7
+    )
     goal_iterations: Annotated[int, Field(ge=1, description="of the fit of where the camera should be in the end")] = 6
     step_iterations: Annotated[int, Field(ge=1, description="of the fit of where it can be next")] = 12
-    margin_m: Annotated[NotNegative, Field(description="kept from floor and no-go zone")] = 0.004
-    pole_deg: Annotated[NotNegative, Field(description="kept from straight above, where no direction is level")] = 8.0
+    margin_m: Annotated[NotNegative, Field(description="kept from floor and no-go zone")] = 0.002
+    pole_deg: Annotated[NotNegative, Field(description="kept from straight above, where no direction is level")] = 3.0
 
 
 AT_ONCE, LATER, FITTED = range(3)
 # Tolerances: gaze (rad), level (rad), distance (m), place (m), rules (m), and Huber's threshold for the place.
-GOAL = 1 / np.array([2e-3, 2e-3, 1e-3, 2e-2, 3e-4, 1.0])
+GOAL = 1 / np.array([5e-3, 2e-3, 3e-3, 1e-2, 3e-4, 1.0])
 STEP = 1 / np.array([2e-4, 5e-4, 1e-3, np.inf, 2e-4, 1.0])
 
 
@@ -120,7 +123,7 @@ def advance(
         arm: ``(3,)`` of the kinematics.
         reach_m: From tool to camera.
         limits: ``(4, 6)`` lower and upper joint limits, largest velocities and accelerations.
-        options: ``(5,)`` period, time ahead, distance, the two filter gains.
+        options: ``(6,)`` period, time ahead, distance, the two filter gains, the share fed forward.
         goal_weights: ``(6,)``.
         step_weights: ``(6,)``.
         iterations: ``(2,)`` of the two fits.
@@ -164,40 +167,42 @@ def advance(
             arm, reach_m, goal, limits[0], limits[1], feature, distance_m, naive, rules, faces, goal_weights,
             int(iterations[0]),
         )  # fmt: skip
-    # Yaw and pitch go to their goals; insertion and wrist keep the view on the way, insertion the slower.
+    # Yaw, pitch and insertion bring the camera to its place; roll and wrist turn it to the feature on the way.
+    speed = np.empty(6)
+    for joint in range(3):
+        speed[joint] = (goal[joint] - last[joint]) / dt_s
+        if abs(speed[joint]) > limits[2, joint]:  # another goal
+            speed[:3] = 0.0
+            break
+        speed[joint] *= options[5]
+    last[:3] = goal[:3]
+    at_once = chase(setpoint[:3], goal[:3], speed[:3], box[:, :3], limits[3, :3], dt_s, out[:3])
     view = goal.copy()
-    bounds = limits[:2].copy()
-    at_once = True
-    for first, behind in ((0, 2), (2, 3), (3, 6)):
-        for joint in range(first, behind):
-            speed = (view[joint] - last[joint]) / dt_s
-            last[joint] = view[joint]
-            if abs(speed) > limits[2, joint]:  # another goal
-                speed = 0.0
-            out[joint] = chase(
-                setpoint[joint], velocity[joint], view[joint], speed, box[0, joint], box[1, joint], limits[3, joint],
-                dt_s,
-            )  # fmt: skip
-            at_once = at_once and out[joint] == view[joint]
-            view[joint] = bounds[0, joint] = bounds[1, joint] = out[joint]
-        if not at_once and behind < 6:
-            if first == 0:  # the view on the way goes on from where it was
-                view[2:] = last[2:]
-            fit(
-                arm, reach_m, view, bounds[0], bounds[1], feature, distance_m, naive, rules, faces, step_weights,
-                int(iterations[1]),
-            )  # fmt: skip
+    if not at_once:
+        view[:3], view[3:] = out[:3], last[3:]
+        bounds = limits[:2].copy()
+        bounds[0, :3] = bounds[1, :3] = out[:3]
+        fit(
+            arm, reach_m, view, bounds[0], bounds[1], feature, distance_m, naive, rules, faces, step_weights,
+            int(iterations[1]),
+        )  # fmt: skip
+    for joint in range(3, 6):
+        speed[joint] = (view[joint] - last[joint]) / dt_s
+        if abs(speed[joint]) > limits[2, joint]:
+            speed[joint] = 0.0
+        last[joint] = view[joint]
+    at_once = chase(setpoint[3:], view[3:], speed[3:], box[:, 3:], limits[3, 3:], dt_s, out[3:]) and at_once
     return FITTED if not free else (AT_ONCE if at_once else LATER)
 
 
 class Gaze(ViewpointTracker):
     """Bounded least squares over the whole pose, in two fits a step.
 
-    The first finds where the camera should be in the end: within the joints' limits and the rules, as near to the naive
-    pose as can be. The camera then goes round the feature towards that place, and the second fit finds the joints for
-    it among those that velocity and acceleration allow within one step: gaze first, then level and distance, then the
-    place. Where the closed-form inverse is among them it is exact and there is nothing to fit. The feature's motion is
-    predicted over the period and the joints' lag.
+    The first finds where the camera should be in the end: the naive pose in closed form where nothing speaks against
+    it, else the joints within their limits that come nearest to it within the rules and see the feature. Yaw, pitch and
+    insertion go there on a straight line, as fast as their accelerations allow; the second fit finds the roll and wrist
+    that look at the feature from wherever the camera is on the way. The feature's motion is predicted over the period
+    and the joints' lag. Nothing that is commanded is beyond what a joint can do in a step.
     """
 
     name: ClassVar[str] = "gaze"
@@ -227,6 +232,7 @@ class Gaze(ViewpointTracker):
         self._limits = np.array([arm.lower, arm.upper, arm.velocity, arm.acceleration])
         self._options = np.array([
             scene.dt_s, scene.dt_s + scene.servo_lag_s, scene.distance_m, config.filter_gain, config.normal_gain,
+            config.feed_forward,
         ])  # fmt: skip
         self._iterations = np.array([config.goal_iterations, config.step_iterations], dtype=np.float64)
         self._motion: FloatArray | None = None

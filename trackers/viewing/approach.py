@@ -29,34 +29,40 @@ def track(measured: FloatArray, gain: float, dt_s: float, place: FloatArray, vel
 
 @compiled
 def chase(
-    place: float,
-    velocity: float,
-    goal: float,
-    goal_velocity: float,
-    least: float,
-    most: float,
-    acceleration: float,
+    place: FloatArray,
+    goal: FloatArray,
+    goal_velocity: FloatArray,
+    box: FloatArray,
+    acceleration: FloatArray,
     dt_s: float,
-) -> float:
-    """Where a joint should be after one step, so that it meets a moving goal as soon as it can without passing it.
+    after: FloatArray,
+) -> bool:
+    """Where joints should be after one step, so that they meet a moving goal together and without passing it.
 
-    The distance is closed no faster than can be braked away in whole steps.
+    They close the gap along a straight line, no faster than the joint that needs longest can brake in whole steps.
 
     Args:
-        place: Of the joint.
-        velocity: Of the joint.
-        goal: Where the goal will be after the step.
-        goal_velocity: Of the goal.
-        least: Least place that the joint can reach in the step.
-        most: Largest such place.
-        acceleration: Of the joint, largest.
+        place: ``(n,)`` of the joints.
+        goal: ``(n,)`` where the goal will be after the step.
+        goal_velocity: ``(n,)`` of the goal.
+        box: ``(2, n)`` least and largest places that the joints can reach in the step.
+        acceleration: ``(n,)`` of the joints, largest.
         dt_s: Of the step.
+        after: ``(n,)``, filled: places after the step, within ``box``.
 
     Returns:
-        The joint's place after the step, between ``least`` and ``most``.
+        Whether the goal is reached.
     """
-    gap = goal - goal_velocity * dt_s - place
-    unit = acceleration * dt_s / 2
-    closing = min(math.sqrt(unit * unit + 2 * acceleration * abs(gap)) - unit, abs(gap) / dt_s)
-    wanted = place + (goal_velocity + math.copysign(closing, gap)) * dt_s
-    return min(most, max(least, wanted))
+    longest = 0.0
+    for k in range(len(place)):
+        longest = max(longest, abs(goal[k] - goal_velocity[k] * dt_s - place[k]) / acceleration[k])
+    unit = dt_s / 2
+    closing = math.sqrt(unit * unit + 2 * longest) - unit
+    share = 1.0 if longest <= closing * dt_s else closing * dt_s / longest
+    met = True
+    for k in range(len(place)):
+        moved = goal_velocity[k] * dt_s
+        wanted = place[k] + moved + share * (goal[k] - moved - place[k]) if share < 1.0 else goal[k]
+        after[k] = min(box[1, k], max(box[0, k], wanted))
+        met = met and after[k] == goal[k]
+    return met
