@@ -217,15 +217,14 @@ def read_observations(root: Path, entry: TrialEntry, data: bytes) -> tuple[Float
     # Against the row before, so that the row after a gap is named; and against the clock, so that no drift adds up.
     steps = np.asarray(np.abs(np.diff(times, prepend=times[0] - entry.dt_s) - entry.dt_s) > UNIFORM * entry.dt_s)
     drift = np.asarray(np.abs(times - times[0] - entry.dt_s * np.arange(len(times))) > UNIFORM * entry.dt_s)
-    for bad in (steps, drift):
-        if bad.any():
-            row = _first(bad)
-            since = times[row] - times[max(row - 1, 0)]
-            problems.append(
-                f"{name}: trial '{entry.id}': row {row}: a gap in time, {since:.6g} s after the row before; "
-                f"expected one sample every {entry.dt_s:g} s"
-            )
-            break
+    bad = steps if steps.any() else drift
+    if bad.any():
+        row = _first(bad)
+        since = float(np.diff(times, prepend=times[0])[row])
+        problems.append(
+            f"{name}: trial '{entry.id}': row {row}: a gap in time, {since:.6g} s after the row before; "
+            f"expected one sample every {entry.dt_s:g} s"
+        )
     return poses, times, problems
 
 
