@@ -1,22 +1,13 @@
-"""The whole job: from a preset to a dataset on disk, resumable after any interruption, the same bytes every time."""
+"""The whole job of the instrument task: from a preset to a dataset on disk, the same bytes every time."""
 
 from __future__ import annotations
 
 import ctypes
-import fcntl
 import hashlib
-import json
 import os
-import shutil
-import signal
 import tempfile
-import threading
 from collections.abc import Callable, Iterator
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
 from dataclasses import dataclass
-from multiprocessing import connection, get_context, parent_process
 from pathlib import Path
 from typing import Any
 
@@ -31,8 +22,6 @@ from surgbench.dataset.format import (
     AUXILIARY_CONVENTION,
     CONVENTIONS,
     FORMAT,
-    MANIFEST_NAME,
-    MARKER_NAME,
     Arm,
     AuxiliaryEntry,
     Manifest,
@@ -43,36 +32,43 @@ from surgbench.dataset.format import (
     observations_path,
     observed_path,
     poses_path,
-    read_manifest,
     sequence_files,
     states_path,
     view_folder,
 )
 from surgbench.dataset.masks import PNG_END, Mask, encode_mask
-from surgbench.dataset.storage import describe_files, storage_error
-from surgbench.errors import ConfigError, DatasetError, SurgbenchError, unknown_name
-from surgbench.files import PARTIAL_SUFFIX, write_atomic
+from surgbench.dataset.storage import describe_files
+from surgbench.errors import ConfigError, unknown_name
+from surgbench.files import write_atomic
 from surgbench.generators.auxiliary import AUXILIARY_CAMERA, ViewTables, camera_of
 from surgbench.generators.corruption import corrupt
 from surgbench.generators.lens import Lens
 from surgbench.generators.mismatch import NO_MISMATCH, real_camera, real_instrument
 from surgbench.generators.presets import Corruption, Preset
 from surgbench.generators.render import MaskRenderer
+from surgbench.generators.resumable import (
+    MANIFEST_BYTES_PER_FILE,
+    blocks,
+    configuration,
+    ctrl_c_raises,
+    end_with_parent,
+    generate,
+    in_workers,
+)
 from surgbench.generators.sequence import make_tables
 from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument, load_instrument, save_instrument
 from surgbench.instrument.files import INSTRUMENT_FILE
 from surgbench.randomness import generator
 
+__all__ = ["Part", "Plan", "generate", "plan_dataset"]
+
 CAMERA_NAME = "endoscope"
 KINDS: tuple[MaskKind, ...] = ("left", "right", "both")
 CHUNK_FRAMES = 20
-# A file takes at least a block of the disk.
-BLOCK_BYTES = 4096
 # Of a 1-bit mask's pixels, how many bytes the PNG takes at most, measured with room to spare.
 MASK_BYTES_PER_PIXEL = 0.01
 TABLE_BYTES_PER_FRAME = 500
-MANIFEST_BYTES_PER_FILE = 160
 
 
 @dataclass(frozen=True)
@@ -111,9 +107,21 @@ class Plan:
     instrument_files: dict[str, bytes]
 
     @property
+    def name(self) -> str:
+        """The dataset's."""
+        name: str = self.preset.name
+        return name
+
+    @property
     def frames(self) -> int:
         """Frames over all sequences."""
         return sum(entry.frames for entry in self.sequences)
+
+    @property
+    def counts(self) -> str:
+        """How much there will be, a few words."""
+        pairs = f"{len(self.sequences)} {'pair' if len(self.sequences) == 1 else 'pairs'} of trajectories"
+        return f"{pairs}, {self.frames} frames"
 
     @property
     def paths(self) -> list[str]:
@@ -124,14 +132,20 @@ class Plan:
     def disk_bytes(self) -> int:
         """Disk that the whole dataset takes, an upper estimate."""
         camera, auxiliary = self.preset.camera, self.preset.auxiliary
-        mask = _blocks(camera.width * camera.height * MASK_BYTES_PER_PIXEL) * 2 * len(KINDS)
+        mask = blocks(camera.width * camera.height * MASK_BYTES_PER_PIXEL) * 2 * len(KINDS)
         numbers = TABLE_BYTES_PER_FRAME
         if auxiliary is not None:
             pixels, views = auxiliary.camera.width * auxiliary.camera.height, len(auxiliary.views)
-            mask += _blocks(pixels * MASK_BYTES_PER_PIXEL) * 2 * len(ARMS) * views
+            mask += blocks(pixels * MASK_BYTES_PER_PIXEL) * 2 * len(ARMS) * views
             numbers += TABLE_BYTES_PER_FRAME * views
         files = len(self.paths)
-        return int(self.frames * (mask + numbers) + _blocks(files * MANIFEST_BYTES_PER_FILE))
+        return int(self.frames * (mask + numbers) + blocks(files * MANIFEST_BYTES_PER_FILE))
+
+    def write(self, out: Path, jobs: int, progress: Callable[[float], None]) -> Manifest:
+        """Write everything but the manifest; see :class:`surgbench.generators.resumable.Job`."""
+        for path, data in self.instrument_files.items():
+            write_atomic(out / path, data)
+        return _manifest(self, out, _render_all(self, out, jobs, progress))
 
 
 @dataclass(frozen=True)
@@ -230,156 +244,6 @@ def _of_part(sequences: tuple[SequenceEntry, ...], part: Part) -> tuple[Sequence
     )
 
 
-def generate(
-    plan: Plan,
-    out: Path,
-    *,
-    jobs: int = 1,
-    say: Callable[[str], None] = lambda line: None,
-    progress: Callable[[float], None] = lambda frames: None,
-) -> bool:
-    """Make a dataset, or finish one that was interrupted.
-
-    Args:
-        plan: From :func:`plan_dataset`.
-        out: The dataset's folder: new, empty, or one where the same generation was interrupted.
-        jobs: Worker processes. The bytes do not depend on it.
-        say: Takes a line about what is going to be done.
-        progress: Takes the number of frames just done.
-
-    Returns:
-        ``False`` if the dataset was complete already and nothing was done.
-
-    Raises:
-        ConfigError: The preset's workspace is too tight for its motion.
-        DatasetError: The folder holds something else or the same dataset with files missing, or another process is at
-            work in it.
-        SurgbenchError: The disk lacks room, before or during the work, or a worker died.
-    """
-    _refuse_other_content(plan, out)
-    if _is_complete(out):
-        return False
-    fresh = not out.exists() or not any(out.iterdir())
-    done = {path for path in plan.paths if (out / path).is_file()} if out.is_dir() else set()
-    _check_disk(plan, out, len(done) / len(plan.paths), say)
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        with _locked(out):
-            _remove_partial(out)
-            write_atomic(out / MARKER_NAME, json.dumps(plan.marker, sort_keys=True, indent=1).encode())
-            for path, data in plan.instrument_files.items():
-                write_atomic(out / path, data)
-            finished = _render_all(plan, out, jobs, progress)
-            _remove_partial(out)
-            write_atomic(out / MANIFEST_NAME, _manifest(plan, out, finished).to_bytes())
-            (out / MARKER_NAME).unlink()
-    except ConfigError:
-        # These settings can never be finished.
-        if fresh:
-            shutil.rmtree(out)
-        raise
-    except OSError as error:
-        raise storage_error(error, out, "run the same command again, it goes on from here") from None
-    except BrokenProcessPool:
-        raise SurgbenchError(
-            f"{out}: a worker process was killed (out of memory?); "
-            "run the same command again, with fewer --jobs, to go on"
-        ) from None
-    return True
-
-
-def _blocks(size: float) -> int:
-    return -(-int(size) // BLOCK_BYTES) * BLOCK_BYTES
-
-
-def _refuse_other_content(plan: Plan, out: Path) -> None:
-    """Raise unless the folder is missing, empty, or holds this very dataset, whole or in part."""
-    if not out.exists():
-        return
-    if not out.is_dir():
-        raise DatasetError(f"{out}: is a file; --out needs a new or empty folder")
-    entries = sorted(path.name for path in out.iterdir() if not path.name.endswith(PARTIAL_SUFFIX))
-    if not entries:
-        return
-    if MANIFEST_NAME in entries:
-        manifest, _ = read_manifest(out)
-        if manifest.configuration != _configuration(plan):
-            raise DatasetError(
-                f"{out}: holds another dataset ('{manifest.name}', other settings); choose another --out"
-            )
-        return
-    marker = out / MARKER_NAME
-    if not marker.is_file():
-        raise DatasetError(f"{out}: holds something else ('{entries[0]}'); --out needs a new or empty folder")
-    try:
-        same = json.loads(marker.read_bytes()) == plan.marker
-    except ValueError:
-        raise DatasetError(f"{marker}: damaged; delete the folder {out} and start again") from None
-    if not same:
-        raise DatasetError(
-            f"{out}: an unfinished dataset with other settings lies here; choose another --out or delete it"
-        )
-    expected = {*plan.paths, MARKER_NAME}
-    for path in sorted(out.rglob("*")):
-        name = path.relative_to(out).as_posix()
-        if path.is_file() and name not in expected and not name.endswith(PARTIAL_SUFFIX):
-            raise DatasetError(f"{path}: does not belong to this dataset; move it away, or choose another --out")
-
-
-def _is_complete(out: Path) -> bool:
-    """Whether the dataset was finished; raises if files of it are no longer there."""
-    if not (out / MANIFEST_NAME).is_file():
-        return False
-    manifest, _ = read_manifest(out)
-    for name, entry in manifest.files.items():
-        path = out / name
-        size = path.stat().st_size if path.is_file() else None
-        if size != entry.bytes:
-            state = "missing from" if size is None else f"{size} instead of {entry.bytes} bytes in"
-            raise DatasetError(
-                f"{path}: {state} a finished dataset; see 'surgbench validate {out}', or choose another --out"
-            )
-    # Killed between the manifest and the last step.
-    (out / MARKER_NAME).unlink(missing_ok=True)
-    return True
-
-
-def _check_disk(plan: Plan, out: Path, share_done: float, say: Callable[[str], None]) -> None:
-    parent = next(folder for folder in (out.absolute(), *out.absolute().parents) if folder.is_dir())
-    free = shutil.disk_usage(parent).free
-    need = int(plan.disk_bytes * (1.0 - share_done))
-    resumed = f", {share_done:.0%} of its files are there already" if share_done else ""
-    pairs = f"{len(plan.sequences)} {'pair' if len(plan.sequences) == 1 else 'pairs'} of trajectories"
-    say(
-        f"{plan.preset.name}: {pairs}, {plan.frames} frames, "
-        f"about {plan.disk_bytes / 1e6:.0f} MB{resumed}; {free / 1e6:.0f} MB free"
-    )
-    if free < need:
-        raise SurgbenchError(
-            f"{out}: the disk has {free / 1e6:.0f} MB free but {need / 1e6:.0f} MB are needed; "
-            "make room, choose another --out, or fewer --sequences or --frames"
-        )
-
-
-@contextmanager
-def _locked(out: Path) -> Iterator[None]:
-    """Hold the folder against a second generation; the system lets go of it however this process ends."""
-    handle = os.open(out, os.O_RDONLY)
-    try:
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise DatasetError(f"{out}: another 'surgbench generate' is at work here") from None
-        yield
-    finally:
-        os.close(handle)
-
-
-def _remove_partial(out: Path) -> None:
-    for path in out.rglob(f"*{PARTIAL_SUFFIX}"):
-        path.unlink(missing_ok=True)
-
-
 def _render_all(plan: Plan, out: Path, jobs: int, progress: Callable[[float], None]) -> list[SequenceEntry]:
     """Write everything but the manifest; what is there whole stays.
 
@@ -387,61 +251,13 @@ def _render_all(plan: Plan, out: Path, jobs: int, progress: Callable[[float], No
         What the manifest says of the sequences.
     """
     finished: list[SequenceEntry] = []
-    if jobs <= 1 and _ctrl_c_raises():
+    if jobs <= 1 and ctrl_c_raises():
         worker = _Worker(plan, out, threads=None)
         for chunk in _chunks(plan, out, finished):
             worker.render(chunk, progress)
         return finished
-    jobs = max(1, jobs)
-    context = get_context("spawn")
-    # Without a lock, which a killed worker could take along.
-    stop = context.RawValue(ctypes.c_bool, False)
-    with ProcessPoolExecutor(jobs, mp_context=context, initializer=_start_worker, initargs=(plan, out, stop)) as pool:
-        waiting: set[Future[int]] = set()
-        try:
-            for chunk in _chunks(plan, out, finished):
-                # Few at a time, so that the states of a long dataset are not all held at once.
-                while len(waiting) >= 2 * jobs:
-                    waiting = _collect(waiting, progress)
-                # Workers start in here, and keep the block.
-                with _without_ctrl_c():
-                    waiting.add(pool.submit(_render_chunk, chunk))
-            while waiting:
-                waiting = _collect(waiting, progress)
-        except BaseException:
-            stop.value = True
-            pool.shutdown(wait=True, cancel_futures=True)
-            raise
+    in_workers(_chunks(plan, out, finished), _render_chunk, jobs, _start_worker, (plan, out), progress)
     return finished
-
-
-def _ctrl_c_raises() -> bool:
-    """Whether Ctrl-C ends this thread's work with an exception; only then may it render.
-
-    Mitsuba catches the signal too, and hands back an unfinished image as if it were whole.
-    """
-    ignored = signal.getsignal(signal.SIGINT) is signal.SIG_IGN
-    return threading.current_thread() is threading.main_thread() and not ignored
-
-
-@contextmanager
-def _without_ctrl_c() -> Iterator[None]:
-    """Hold Ctrl-C back until the end, from processes started meanwhile for good.
-
-    To ignore it is not enough for a worker: Mitsuba's own handler would leave the image in hand unfinished.
-    """
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-def _collect(waiting: set[Future[int]], progress: Callable[[float], None]) -> set[Future[int]]:
-    done, rest = wait(waiting, return_when=FIRST_COMPLETED)
-    for future in done:
-        progress(future.result())
-    return rest
 
 
 def _chunks(plan: Plan, out: Path, finished: list[SequenceEntry]) -> Iterator[Chunk]:
@@ -557,26 +373,13 @@ def _start_worker(plan: Plan, out: Path, stop: ctypes.c_bool) -> None:
         stop: Shared; once true, the worker renders nothing after the frame in hand.
     """
     global _worker
-    parent = parent_process()
-    if parent is not None:
-        sentinel = parent.sentinel
-
-        def follow() -> None:
-            connection.wait([sentinel])
-            os._exit(1)
-
-        threading.Thread(target=follow, daemon=True).start()
+    end_with_parent()
     _worker = _Worker(plan, out, threads=1, stop=stop)
 
 
 def _render_chunk(chunk: Chunk) -> int:
     assert _worker is not None
     return _worker.render(chunk)
-
-
-def _configuration(plan: Plan) -> dict[str, Any]:
-    """What the manifest says of how the dataset was made."""
-    return {key: value for key, value in plan.marker.items() if key != "format"}
 
 
 def _manifest(plan: Plan, out: Path, sequences: list[SequenceEntry]) -> Manifest:
@@ -586,7 +389,7 @@ def _manifest(plan: Plan, out: Path, sequences: list[SequenceEntry]) -> Manifest
         created_by=f"surgbench {__version__}",
         origin="generated",
         seed=plan.preset.seed,
-        configuration=_configuration(plan),
+        configuration=configuration(plan),
         conventions=CONVENTIONS if plan.preset.auxiliary is None else CONVENTIONS | AUXILIARY_CONVENTION,
         cameras={CAMERA_NAME: plan.preset.camera, **camera_of(plan.preset)},
         instruments={name: f"{instrument_folder(name)}/instrument.yaml"},

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import os
 import shutil
 import signal
@@ -21,6 +22,7 @@ from surgbench.dataset import Dataset
 from surgbench.dataset.validate import validate
 from surgbench.errors import ConfigError, DatasetError, NotFoundError, SurgbenchError
 from surgbench.generators import generate as module
+from surgbench.generators import resumable
 from surgbench.generators.corruption import corrupt
 from surgbench.generators.generate import Part, generate, plan_dataset
 from surgbench.generators.observations import observe_joints, observe_keypoints
@@ -542,7 +544,7 @@ def test_a_finished_dataset_that_lost_a_file_is_not_complete(made: Path, tmp_pat
 
 def test_one_pair_is_said_in_the_singular(tmp_path: Path) -> None:
     said: list[str] = []
-    module._check_disk(plan_dataset(FEW.model_copy(update={"pairs": 1})), tmp_path, 0.0, said.append)
+    resumable._check_disk(plan_dataset(FEW.model_copy(update={"pairs": 1})), tmp_path, 0.0, said.append)
     assert said[0].startswith("few: 1 pair of trajectories, 3 frames, ")
 
 
@@ -568,20 +570,20 @@ def test_a_folder_that_holds_something_else_is_left_alone(made: Path, tmp_path: 
     shutil.copytree(made, part)
     (part / "dataset.json").unlink()
     plan = plan_dataset(FEW)
-    (part / "generating.json").write_text(module.json.dumps(plan.marker))
+    (part / "generating.json").write_text(json.dumps(plan.marker))
     assert "an unfinished dataset with other settings" in refused(other, part)
     (part / "truth" / "notes.txt").write_text("mine")
     assert "notes.txt: does not belong to this dataset" in refused(FEW, part)
 
 
 def test_two_generations_do_not_share_a_folder(tmp_path: Path) -> None:
-    with module._locked(tmp_path), pytest.raises(DatasetError, match="another 'surgbench generate' is at work here"):
+    with resumable._locked(tmp_path), pytest.raises(DatasetError, match="another 'surgbench generate' is at work here"):
         generate(plan_dataset(FEW), tmp_path)
 
 
 def test_it_says_how_much_and_refuses_a_disk_that_lacks_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     usage = namedtuple("usage", "total used free")
-    monkeypatch.setattr(module.shutil, "disk_usage", lambda path: usage(10**9, 10**9 - 1000, 1000))
+    monkeypatch.setattr(resumable.shutil, "disk_usage", lambda path: usage(10**9, 10**9 - 1000, 1000))
     said: list[str] = []
     out = tmp_path / "deep" / "out"
     plan = plan_dataset(load_preset("paper"))

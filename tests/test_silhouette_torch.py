@@ -28,7 +28,7 @@ from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument, load_instrument
 from surgbench.objective import LossWeights, Objective
 from surgbench.silhouette import Reference, RowSums, SilhouetteEvaluator
-from surgbench.suite.execute import UnitData, child_setup
+from surgbench.suite.execute import child_setup, unit_data
 from surgbench.suite.plan import Protocol, Row, complete, jobs
 
 if TYPE_CHECKING:
@@ -325,7 +325,7 @@ def test_the_device_is_part_of_the_settings_only_where_it_is_no_cpu(
     assert "device" not in on_cpu.variant
     for chosen, name in ((on_cpu, "cpu"), (on_gpu, "cuda")):
         job = jobs(chosen, data)[0]
-        assert child_setup(job, UnitData(data, job.unit, "none").scene()).scene.device == name
+        assert child_setup(job, unit_data(job, data).scene()).scene.device == name
 
 
 @pytest.mark.parametrize("device", ["cuda"], indirect=True)

@@ -18,10 +18,10 @@ def validate(path: Annotated[Path, typer.Argument(metavar="PATH", help="A datase
 
     Prints one line per problem, each naming the file, and exits with 2; or a summary and exits with 0.
     """
-    from surgbench.dataset import Dataset
+    from surgbench.dataset.open import open_dataset
     from surgbench.dataset.validate import validate as check
 
-    dataset = Dataset.open(path)
+    dataset = open_dataset(path)
     manifest = dataset.manifest
     with progress("files", len(manifest.files)) as advance:
         problems = check(path, advance)
@@ -29,6 +29,5 @@ def validate(path: Annotated[Path, typer.Argument(metavar="PATH", help="A datase
         print(problem, file=sys.stderr)
     if problems:
         raise typer.Exit(2)
-    frames = sum(entry.frames for entry in manifest.sequences)
-    counts = f"{len(manifest.sequences)} sequences, {frames} frames, {len(manifest.files)} files"
+    counts = f"{manifest.counts}, {len(manifest.files)} files"
     print(f"{path}: sound; '{manifest.name}', {counts}, hash {dataset.hash}")

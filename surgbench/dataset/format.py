@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path, PurePosixPath
-from typing import Annotated, Any, Final, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 import numpy as np
 from pydantic import (
@@ -23,7 +23,11 @@ from surgbench.errors import DatasetError
 from surgbench.files import canonical_json
 from surgbench.geometry import is_rigid
 
+if TYPE_CHECKING:
+    from surgbench.viewpoint.format import ViewpointManifest
+
 FORMAT: Final = "surgbench-dataset-1"
+TASKS = ("instrument", "viewpoint")
 MANIFEST_NAME = "dataset.json"
 # Holds the effective configuration while a dataset is being written; gone when it is complete.
 MARKER_NAME = "generating.json"
@@ -159,12 +163,11 @@ class SequenceEntry(Part):
         return self
 
 
-class Manifest(Part):
-    """The whole of ``dataset.json``.
+class CommonManifest(Part):
+    """What ``dataset.json`` says whatever the task.
 
     Attributes:
         format: Version of the layout.
-        task: What trackers do on it.
         name: The preset's or recording's name.
         created_by: Program and version.
         origin: Generated here, or imported from a recording.
@@ -173,25 +176,18 @@ class Manifest(Part):
         units: Text.
         conventions: Text.
         visibility: Which files a tracker may be shown, and which hold the truth.
-        cameras: By name.
-        instruments: Name to the instrument file's place in the folder.
-        sequences: In order.
         files: Path to size and SHA-256, every file but ``dataset.json``.
     """
 
     format: Literal["surgbench-dataset-1"] = FORMAT
-    task: Literal["instrument"] = "instrument"
     name: str
     created_by: str
     origin: Literal["generated", "imported"]
     seed: int | None = None
     configuration: dict[str, Any]
     units: dict[str, str] = UNITS
-    conventions: dict[str, str] = CONVENTIONS
+    conventions: dict[str, str]
     visibility: dict[str, list[str]] = VISIBILITY
-    cameras: dict[str, Camera]
-    instruments: dict[str, str]
-    sequences: Annotated[tuple[SequenceEntry, ...], Field(min_length=1)]
     files: dict[str, FileEntry]
 
     @field_validator("files")
@@ -202,6 +198,36 @@ class Manifest(Part):
             if pure.is_absolute() or ".." in pure.parts or str(pure) != path:
                 raise ValueError(f"'{path}' is not a path inside the dataset")
         return files
+
+    @property
+    def counts(self) -> str:
+        """How much there is, a few words."""
+        raise NotImplementedError
+
+    def to_bytes(self) -> bytes:
+        """The bytes of ``dataset.json``: sorted keys, a line for each file, so that it can be read and diffed."""
+        data = self.model_dump(mode="json")
+        files = data.pop("files")
+        head = json.dumps(data, indent=1, sort_keys=True, allow_nan=False)
+        rows = ",\n".join(f"  {json.dumps(path)}: {canonical_json(files[path])}" for path in sorted(files))
+        return f'{head[:-2]},\n "files": {{\n{rows}\n }}\n}}\n'.encode()
+
+
+class Manifest(CommonManifest):
+    """The whole of ``dataset.json`` of the instrument task.
+
+    Attributes:
+        task: What trackers do on it.
+        cameras: By name.
+        instruments: Name to the instrument file's place in the folder.
+        sequences: In order.
+    """
+
+    task: Literal["instrument"] = "instrument"
+    conventions: dict[str, str] = CONVENTIONS
+    cameras: dict[str, Camera]
+    instruments: dict[str, str]
+    sequences: Annotated[tuple[SequenceEntry, ...], Field(min_length=1)]
 
     @model_validator(mode="after")
     def _references(self) -> Manifest:
@@ -224,17 +250,14 @@ class Manifest(Part):
                 raise ValueError(f"instrument '{name}': '{path}' is not among the files")
         return self
 
-    def to_bytes(self) -> bytes:
-        """The bytes of ``dataset.json``: sorted keys, a line for each file, so that it can be read and diffed."""
-        data = self.model_dump(mode="json")
-        files = data.pop("files")
-        head = json.dumps(data, indent=1, sort_keys=True, allow_nan=False)
-        rows = ",\n".join(f"  {json.dumps(path)}: {canonical_json(files[path])}" for path in sorted(files))
-        return f'{head[:-2]},\n "files": {{\n{rows}\n }}\n}}\n'.encode()
+    @property
+    def counts(self) -> str:
+        """Sequences and frames."""
+        return f"{len(self.sequences)} sequences, {sum(entry.frames for entry in self.sequences)} frames"
 
 
-def read_manifest(folder: Path) -> tuple[Manifest, bytes]:
-    """Read a dataset's manifest and its bytes.
+def read_manifest(folder: Path) -> tuple[Manifest | ViewpointManifest, bytes]:
+    """Read a dataset's manifest, that of its task, and its bytes.
 
     Raises:
         DatasetError: There is no dataset here, it is not complete, or its manifest is wrong; one line.
@@ -263,13 +286,26 @@ def read_manifest(folder: Path) -> tuple[Manifest, bytes]:
     found = raw.get("format") if isinstance(raw, dict) else None
     if found != FORMAT:
         raise DatasetError(f"{path}: 'format' is {found!r}; this version of surgbench reads '{FORMAT}'")
+    task = raw.get("task", "instrument")
+    if task not in TASKS:
+        raise DatasetError(f"{path}: 'task' is {task!r}; this version of surgbench knows {' and '.join(TASKS)}")
     try:
+        if task == "viewpoint":
+            # Imported here: that format is made of the parts above.
+            from surgbench.viewpoint.format import ViewpointManifest
+
+            return ViewpointManifest.model_validate(raw), data
         return Manifest.model_validate(raw), data
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"])
         message = first["msg"].removeprefix("Value error, ")
         raise DatasetError(f"{path}: {f'{chr(39)}{key}{chr(39)}: ' if key else ''}{message}") from None
+
+
+def wrong_task(folder: Path, found: str, expected: str) -> DatasetError:
+    """One line for a dataset of another task than what reads it."""
+    return DatasetError(f"{folder}: a dataset of the {found} task; expected one of the {expected} task")
 
 
 def frame_name(frame: int) -> str:

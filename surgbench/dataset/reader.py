@@ -24,6 +24,7 @@ from surgbench.dataset.format import (
     observed_path,
     read_manifest,
     states_path,
+    wrong_task,
 )
 from surgbench.dataset.masks import Mask, read_bytes, read_image, read_mask
 from surgbench.errors import DatasetError, unknown_name
@@ -251,10 +252,12 @@ class Dataset:
         """Open a dataset's folder. Only the manifest is read; ``surgbench validate`` checks the rest.
 
         Raises:
-            DatasetError: There is no complete dataset here, or its manifest is wrong; one line.
+            DatasetError: There is no complete dataset here, it is of another task, or its manifest is wrong; one line.
         """
         folder = Path(path)
         manifest, data = read_manifest(folder)
+        if not isinstance(manifest, Manifest):
+            raise wrong_task(folder, manifest.task, cls.task)
         return cls(folder, manifest, hashlib.sha256(data).hexdigest())
 
     @property

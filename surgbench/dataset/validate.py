@@ -13,7 +13,6 @@ from surgbench.dataset import tables
 from surgbench.dataset.auxiliary import auxiliary_columns, keypoint_columns, kind_arms, pose_columns
 from surgbench.dataset.format import (
     IMAGE_KIND,
-    MANIFEST_NAME,
     Arm,
     AuxiliaryEntry,
     SequenceEntry,
@@ -23,9 +22,10 @@ from surgbench.dataset.format import (
     states_path,
     view_folder,
 )
+from surgbench.dataset.integrity import check_files
 from surgbench.dataset.masks import decode_image, decode_mask, read_bytes
+from surgbench.dataset.open import open_dataset
 from surgbench.dataset.reader import Dataset, observation_columns, state_columns
-from surgbench.dataset.storage import file_entry
 from surgbench.errors import DatasetError, SurgbenchError
 from surgbench.geometry import FloatArray
 from surgbench.state import ALPHA, BETA, GAMMA, JOINTS, POSITION, JointLimits
@@ -45,11 +45,14 @@ def validate(path: Path | str, progress: Callable[[float], None] = lambda files:
         One line per problem, each naming the file; empty for a sound dataset.
     """
     try:
-        dataset = Dataset.open(path)
+        dataset = open_dataset(path)
     except DatasetError as error:
         return [str(error)]
+    if not isinstance(dataset, Dataset):
+        from surgbench.viewpoint.validate import validate_viewpoint
+
+        return validate_viewpoint(dataset, progress)
     root, manifest = dataset.path, dataset.manifest
-    problems: list[str] = []
     expected = {file for entry in manifest.sequences for file in sequence_files(entry)}
     cameras = {entry.id: manifest.cameras[entry.camera] for entry in manifest.sequences}
     cameras |= {
@@ -57,31 +60,9 @@ def validate(path: Path | str, progress: Callable[[float], None] = lambda files:
         for entry in manifest.sequences
         for name, view in entry.auxiliary.items()
     }
-    for file in sorted(expected - set(manifest.files)):
-        problems.append(f"{root / file}: not listed in {MANIFEST_NAME}, but its sequence needs it")
-    sound: set[str] = set()
-    for file, listed in sorted(manifest.files.items()):
-        progress(1)
-        try:
-            data = read_bytes(root / file)
-        except DatasetError as error:
-            problems.append(str(error))
-            continue
-        found = file_entry(data)
-        if found.bytes < listed.bytes:
-            problems.append(f"{root / file}: truncated, {found.bytes} bytes; {MANIFEST_NAME} says {listed.bytes}")
-        elif found != listed:
-            problems.append(f"{root / file}: altered, its SHA-256 is not the one in {MANIFEST_NAME}")
-        else:
-            problem = _check_picture(file, data, root, cameras) if file in expected else None
-            if problem:
-                problems.append(problem)
-            sound.add(file)
-    known = {*manifest.files, MANIFEST_NAME}
-    for place in sorted(root.rglob("*")):
-        name = place.relative_to(root).as_posix()
-        if not place.is_dir() and name not in known:
-            problems.append(f"{place}: extra, not listed in {MANIFEST_NAME}")
+    problems, sound = check_files(
+        root, manifest, expected, lambda file, data: _check_picture(file, data, root, cameras), progress
+    )
     limits: dict[str, JointLimits] = {}
     for name, file in manifest.instruments.items():
         try:

@@ -20,6 +20,8 @@ from surgbench.reproduce.work import BlockWork
 
 def _describe(dataset: Dataset, frames: int) -> dict[str, Any]:
     return {
+        "sequences": len(dataset.sequences),
+        "frames": sum(sequence.frames for sequence in dataset.sequences),
         "difficulty": difficulty(dataset),
         "first_sha256": {
             sequence.id: sequence_head_sha256(dataset, sequence.id, min(frames, sequence.frames))

@@ -65,8 +65,6 @@ def derive(definition: Definition, blocks: Sequence[BlockWork], out: Path, quick
         datasets[folder] = datasets.get(folder) or {
             "name": work.dataset.name,
             "sha256": work.dataset.hash,
-            "sequences": len(work.dataset.sequences),
-            "frames": sum(sequence.frames for sequence in work.dataset.sequences),
             **sheet.describe(work.dataset, frames),
         }
         for one in work.rows:

@@ -34,7 +34,7 @@ class Sheet:
         traits_of: A dataset's sequence to its traits.
         count: A record to its counts.
         describe: A dataset, and how many frames of each sequence are meant by first, to what is kept of it: at least
-            ``first_sha256``, sequence to a hash of these frames.
+            ``sequences`` and ``frames``, how many there are, and ``first_sha256``, sequence to a hash of these frames.
         page: The Markdown page.
         draw: The figures that go into the table's folder; their names, none where nothing can be drawn.
     """

@@ -36,6 +36,8 @@ def _describe(dataset: ViewpointDataset, frames: int) -> dict[str, Any]:
         constrained.append(float(naive_violations(trial, make_scene(trial)).any[trial.measured].mean()))
         first[unit.sequence] = sha256_text(np.ascontiguousarray(trial.T_world_feature[:frames], "<f8").tobytes().hex())
     return {
+        "sequences": len(first),
+        "frames": sum(dataset.sequence(name).frames for name in first),
         "seconds": round(seconds, 3),
         "constrained_percent": [round(100 * share, 2) for share in constrained],
         "first_sha256": first,

@@ -20,7 +20,7 @@ from surgbench.geometry import FloatArray, inverse_transform, is_rigid
 from surgbench.viewpoint.camera_arm import CameraArm
 from surgbench.viewpoint.contract import ViewCommand, ViewpointObservation, ViewpointScene
 from surgbench.viewpoint.execution import JointServo
-from surgbench.viewpoint.placement import CONSTRAINTS, DISTANCE_M
+from surgbench.viewpoint.placement import CONSTRAINTS
 from surgbench.viewpoint.registration import Method, register
 from surgbench.viewpoint.trial import Trial
 from surgbench.viewpoint.workspace import NoGoZone, Workspace
@@ -79,7 +79,7 @@ def make_scene(
     registration: Method = "translation",
     missing_face: bool = False,
     servo_lag_s: float = SERVO_LAG_S,
-    distance_m: float = DISTANCE_M,
+    distance_m: float | None = None,
 ) -> ViewpointScene:
     """What a controller is told of a trial.
 
@@ -88,7 +88,7 @@ def make_scene(
         registration: How its touched points correct the camera arm's base.
         missing_face: The no-go zone as in the published code, which never tests one of its sides.
         servo_lag_s: Time constant of the joints.
-        distance_m: d_t.
+        distance_m: d_t; the trial's own unless told.
 
     Raises:
         WorkspaceError: The no-go zone's points span no box.
@@ -96,11 +96,13 @@ def make_scene(
         DatasetError: The camera arm starts outside its limits.
     """
     arm = CameraArm()
-    workspace = Workspace(NoGoZone(trial.zone_m, missing_face))
+    zone = NoGoZone(trial.zone_m, missing_face)
+    workspace = Workspace(zone, trial.floor_m, trial.proximity_m, trial.preferred_side)
     base = register(trial.T_world_base, trial.touches, registration)
     if not (np.isfinite(trial.start).all() and arm.within_limits(trial.start, 1e-9)):
         raise DatasetError(f"trial '{trial.id}': the camera arm starts outside its joint limits")
-    return ViewpointScene(arm, base, workspace, distance_m, trial.dt_s, servo_lag_s)
+    wanted = trial.distance_m if distance_m is None else distance_m
+    return ViewpointScene(arm, base, workspace, wanted, trial.dt_s, servo_lag_s)
 
 
 class Simulation:

@@ -8,7 +8,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surgbench.geometry import FloatArray
+from surgbench.viewpoint.placement import DISTANCE_M
 from surgbench.viewpoint.registration import Touches
+from surgbench.viewpoint.workspace import FLOOR_M, PREFERRED_SIDE, PROXIMITY_M
+
+
+@dataclass(frozen=True, eq=False)
+class Wire:
+    """The wire that a ring goes along.
+
+    Attributes:
+        points_m: ``(n, 3)`` its centre line, a polyline in the world frame.
+        radius_m: Of the wire.
+        ring_radius_m: Of the circle in the middle of the ring's tube.
+        tube_radius_m: Of that tube.
+    """
+
+    points_m: FloatArray
+    radius_m: float
+    ring_radius_m: float
+    tube_radius_m: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -19,11 +38,13 @@ class TrialTruth:
         T_world_feature: ``(T, 4, 4)``.
         T_world_base: ``(4, 4)`` where the camera arm's base really is.
         contact: ``(T,)`` whether ring and wire touched.
+        wire: Where there is one.
     """
 
     T_world_feature: FloatArray
     T_world_base: FloatArray
     contact: NDArray[np.bool_]
+    wire: Wire | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +61,10 @@ class Trial:
         zone_m: ``(5, 3)`` the points touched around the no-go zone, world frame.
         start: ``(6,)`` joints of the camera arm at rest before the first sample.
         truth: ``None`` for recordings.
+        distance_m: d_t, wanted from camera to feature.
+        floor_m: The camera stays this high above the base of the zone.
+        proximity_m: And this far from the feature.
+        preferred_side: ``(3,)`` unit vector: the camera's y axis must not point along it.
     """
 
     id: str
@@ -51,6 +76,10 @@ class Trial:
     zone_m: FloatArray
     start: FloatArray
     truth: TrialTruth | None = None
+    distance_m: float = DISTANCE_M
+    floor_m: float = FLOOR_M
+    proximity_m: float = PROXIMITY_M
+    preferred_side: tuple[float, float, float] = PREFERRED_SIDE
 
     @property
     def measured(self) -> NDArray[np.bool_]:

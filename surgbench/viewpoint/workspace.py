@@ -16,6 +16,8 @@ from surgbench.geometry import FloatArray
 
 # Edges shorter than this, or closer than this to lying on one line, span no box.
 SMALLEST_M = 1e-3
+FLOOR_M, PROXIMITY_M = 0.04, 0.08
+PREFERRED_SIDE = (1.0, 0.0, 0.0)
 
 
 class WorkspaceError(SurgbenchError):
@@ -114,9 +116,9 @@ class Workspace:
     """
 
     zone: NoGoZone
-    floor_m: float = 0.04
-    proximity_m: float = 0.08
-    preferred_side: tuple[float, float, float] = (1.0, 0.0, 0.0)
+    floor_m: float = FLOOR_M
+    proximity_m: float = PROXIMITY_M
+    preferred_side: tuple[float, float, float] = PREFERRED_SIDE
 
     @cached_property
     def floor(self) -> FloatArray:

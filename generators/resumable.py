@@ -1,0 +1,316 @@
+"""Making a dataset so that it can be interrupted anywhere, and finished by the same command: for any task."""
+
+from __future__ import annotations
+
+import ctypes
+import fcntl
+import json
+import os
+import shutil
+import signal
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from multiprocessing import connection, get_context, parent_process
+from pathlib import Path
+from typing import Any, Protocol
+
+from surgbench.dataset.format import MANIFEST_NAME, MARKER_NAME, CommonManifest, read_manifest
+from surgbench.dataset.storage import storage_error
+from surgbench.errors import ConfigError, DatasetError, SurgbenchError
+from surgbench.files import PARTIAL_SUFFIX, write_atomic
+
+# A file takes at least a block of the disk.
+BLOCK_BYTES = 4096
+MANIFEST_BYTES_PER_FILE = 160
+# Holds what the manifest will say of the parts that are made, while the others are not; gone with the marker.
+SCRATCH_NAME = "generating"
+
+
+class Job(Protocol):
+    """What a generation will make."""
+
+    @property
+    def name(self) -> str:
+        """The dataset's."""
+        ...
+
+    @property
+    def counts(self) -> str:
+        """How much there will be, a few words."""
+        ...
+
+    @property
+    def frames(self) -> int:
+        """Frames over all sequences, or samples over all trials."""
+        ...
+
+    @property
+    def marker(self) -> dict[str, Any]:
+        """Effective configuration as it is kept in the folder until the dataset is complete."""
+        ...
+
+    @property
+    def paths(self) -> list[str]:
+        """Every file but the manifest."""
+        ...
+
+    @property
+    def disk_bytes(self) -> int:
+        """Disk that the whole dataset takes, an upper estimate."""
+        ...
+
+    def write(self, out: Path, jobs: int, progress: Callable[[float], None]) -> CommonManifest:
+        """Write everything but the manifest into the folder; what is there whole stays.
+
+        Args:
+            out: The folder.
+            jobs: Worker processes.
+            progress: Takes the number of frames or samples just done.
+        """
+        ...
+
+
+def generate(
+    plan: Job,
+    out: Path,
+    *,
+    jobs: int = 1,
+    say: Callable[[str], None] = lambda line: None,
+    progress: Callable[[float], None] = lambda frames: None,
+) -> bool:
+    """Make a dataset, or finish one that was interrupted.
+
+    Args:
+        plan: What to make.
+        out: The dataset's folder: new, empty, or one where the same generation was interrupted.
+        jobs: Worker processes. The bytes do not depend on it.
+        say: Takes a line about what is going to be done.
+        progress: Takes the number of frames just done.
+
+    Returns:
+        ``False`` if the dataset was complete already and nothing was done.
+
+    Raises:
+        ConfigError: The preset asks for what cannot be found.
+        DatasetError: The folder holds something else or the same dataset with files missing, or another process is at
+            work in it.
+        SurgbenchError: The disk lacks room, before or during the work, or a worker died.
+    """
+    _refuse_other_content(plan, out)
+    if _is_complete(out):
+        return False
+    fresh = not out.exists() or not any(out.iterdir())
+    done = {path for path in plan.paths if (out / path).is_file()} if out.is_dir() else set()
+    _check_disk(plan, out, len(done) / len(plan.paths), say)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        with _locked(out):
+            _remove_partial(out)
+            write_atomic(out / MARKER_NAME, json.dumps(plan.marker, sort_keys=True, indent=1).encode())
+            manifest = plan.write(out, jobs, progress)
+            _remove_partial(out)
+            write_atomic(out / MANIFEST_NAME, manifest.to_bytes())
+            _remove_marker(out)
+    except ConfigError:
+        # These settings can never be finished.
+        if fresh:
+            shutil.rmtree(out)
+        raise
+    except OSError as error:
+        raise storage_error(error, out, "run the same command again, it goes on from here") from None
+    except BrokenProcessPool:
+        raise SurgbenchError(
+            f"{out}: a worker process was killed (out of memory?); "
+            "run the same command again, with fewer --jobs, to go on"
+        ) from None
+    return True
+
+
+def configuration(plan: Job) -> dict[str, Any]:
+    """What the manifest says of how the dataset was made."""
+    return {key: value for key, value in plan.marker.items() if key != "format"}
+
+
+def blocks(size: float) -> int:
+    """A size in bytes, rounded up to whole blocks of the disk."""
+    return -(-int(size) // BLOCK_BYTES) * BLOCK_BYTES
+
+
+def _refuse_other_content(plan: Job, out: Path) -> None:
+    """Raise unless the folder is missing, empty, or holds this very dataset, whole or in part."""
+    if not out.exists():
+        return
+    if not out.is_dir():
+        raise DatasetError(f"{out}: is a file; --out needs a new or empty folder")
+    entries = sorted(path.name for path in out.iterdir() if not path.name.endswith(PARTIAL_SUFFIX))
+    if not entries:
+        return
+    if MANIFEST_NAME in entries:
+        manifest, _ = read_manifest(out)
+        if manifest.configuration != configuration(plan):
+            raise DatasetError(
+                f"{out}: holds another dataset ('{manifest.name}', other settings); choose another --out"
+            )
+        return
+    marker = out / MARKER_NAME
+    if not marker.is_file():
+        raise DatasetError(f"{out}: holds something else ('{entries[0]}'); --out needs a new or empty folder")
+    try:
+        same = json.loads(marker.read_bytes()) == plan.marker
+    except ValueError:
+        raise DatasetError(f"{marker}: damaged; delete the folder {out} and start again") from None
+    if not same:
+        raise DatasetError(
+            f"{out}: an unfinished dataset with other settings lies here; choose another --out or delete it"
+        )
+    expected = {*plan.paths, MARKER_NAME}
+    for path in sorted(out.rglob("*")):
+        name = path.relative_to(out).as_posix()
+        scratch = name.startswith(f"{SCRATCH_NAME}/")
+        if path.is_file() and name not in expected and not scratch and not name.endswith(PARTIAL_SUFFIX):
+            raise DatasetError(f"{path}: does not belong to this dataset; move it away, or choose another --out")
+
+
+def _is_complete(out: Path) -> bool:
+    """Whether the dataset was finished; raises if files of it are no longer there."""
+    if not (out / MANIFEST_NAME).is_file():
+        return False
+    manifest, _ = read_manifest(out)
+    for name, entry in manifest.files.items():
+        path = out / name
+        size = path.stat().st_size if path.is_file() else None
+        if size != entry.bytes:
+            state = "missing from" if size is None else f"{size} instead of {entry.bytes} bytes in"
+            raise DatasetError(
+                f"{path}: {state} a finished dataset; see 'surgbench validate {out}', or choose another --out"
+            )
+    # Killed between the manifest and the last step.
+    _remove_marker(out)
+    return True
+
+
+def _check_disk(plan: Job, out: Path, share_done: float, say: Callable[[str], None]) -> None:
+    parent = next(folder for folder in (out.absolute(), *out.absolute().parents) if folder.is_dir())
+    free = shutil.disk_usage(parent).free
+    need = int(plan.disk_bytes * (1.0 - share_done))
+    resumed = f", {share_done:.0%} of its files are there already" if share_done else ""
+    say(f"{plan.name}: {plan.counts}, about {plan.disk_bytes / 1e6:.0f} MB{resumed}; {free / 1e6:.0f} MB free")
+    if free < need:
+        raise SurgbenchError(
+            f"{out}: the disk has {free / 1e6:.0f} MB free but {need / 1e6:.0f} MB are needed; "
+            "make room, choose another --out, or fewer --sequences or --frames"
+        )
+
+
+@contextmanager
+def _locked(out: Path) -> Iterator[None]:
+    """Hold the folder against a second generation; the system lets go of it however this process ends."""
+    handle = os.open(out, os.O_RDONLY)
+    try:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise DatasetError(f"{out}: another 'surgbench generate' is at work here") from None
+        yield
+    finally:
+        os.close(handle)
+
+
+def _remove_marker(out: Path) -> None:
+    if (out / MARKER_NAME).exists():  # else a folder of that name is not ours
+        shutil.rmtree(out / SCRATCH_NAME, ignore_errors=True)
+        (out / MARKER_NAME).unlink()
+
+
+def _remove_partial(out: Path) -> None:
+    for path in out.rglob(f"*{PARTIAL_SUFFIX}"):
+        path.unlink(missing_ok=True)
+
+
+def ctrl_c_raises() -> bool:
+    """Whether Ctrl-C ends this thread's work with an exception; only then may it render.
+
+    Mitsuba catches the signal too, and hands back an unfinished image as if it were whole.
+    """
+    ignored = signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+    return threading.current_thread() is threading.main_thread() and not ignored
+
+
+@contextmanager
+def _without_ctrl_c() -> Iterator[None]:
+    """Hold Ctrl-C back until the end, from processes started meanwhile for good.
+
+    To ignore it is not enough for a worker: Mitsuba's own handler would leave the image in hand unfinished.
+    """
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def in_workers(
+    tasks: Iterable[Any],
+    do: Callable[[Any], int],
+    jobs: int,
+    start: Callable[..., None],
+    arguments: tuple[Any, ...],
+    progress: Callable[[float], None],
+) -> None:
+    """Do tasks in worker processes.
+
+    Args:
+        tasks: In order; few are drawn ahead of the work.
+        do: Does one, in a worker; returns what ``progress`` is to take.
+        jobs: Worker processes.
+        start: Prepares a worker: takes ``arguments`` and a shared ``ctypes.c_bool``; once that is true, no new work is
+            to begin.
+        arguments: For ``start``.
+        progress: Takes how much was just done.
+
+    Raises:
+        BrokenProcessPool: A worker was killed.
+    """
+    jobs = max(1, jobs)
+    context = get_context("spawn")
+    # Without a lock, which a killed worker could take along.
+    stop = context.RawValue(ctypes.c_bool, False)
+    with ProcessPoolExecutor(jobs, mp_context=context, initializer=start, initargs=(*arguments, stop)) as pool:
+        waiting: set[Future[int]] = set()
+        try:
+            for task in tasks:
+                # Few at a time, so that the states of a long dataset are not all held at once.
+                while len(waiting) >= 2 * jobs:
+                    waiting = _collect(waiting, progress)
+                # Workers start in here, and keep the block.
+                with _without_ctrl_c():
+                    waiting.add(pool.submit(do, task))
+            while waiting:
+                waiting = _collect(waiting, progress)
+        except BaseException:
+            stop.value = True
+            pool.shutdown(wait=True, cancel_futures=True)
+            raise
+
+
+def end_with_parent() -> None:
+    """Let this worker process end with its parent, also when that is killed."""
+    parent = parent_process()
+    if parent is not None:
+        sentinel = parent.sentinel
+
+        def follow() -> None:
+            connection.wait([sentinel])
+            os._exit(1)
+
+        threading.Thread(target=follow, daemon=True).start()
+
+
+def _collect(waiting: set[Future[int]], progress: Callable[[float], None]) -> set[Future[int]]:
+    done, rest = wait(waiting, return_when=FIRST_COMPLETED)
+    for future in done:
+        progress(future.result())
+    return rest
