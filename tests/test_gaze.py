@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from worlds import circling, feature_poses, make_trial, random_trial
 
+from surgbench.conformance.worlds import circling, feature_poses, make_trial, random_trial
 from surgbench.geometry import FloatArray, inverse_transform
 from surgbench.trackers.gaze import Gaze, GazeConfig
 from surgbench.trackers.viewing.approach import chase, track

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from worlds import DT_S, circling, feature_poses, make_trial
 
+from surgbench.conformance.worlds import DT_S, circling, feature_poses, make_trial
 from surgbench.errors import DatasetError
 from surgbench.geometry import FloatArray, inverse_transform
 from surgbench.viewpoint.camera_arm import CameraArm

@@ -10,6 +10,7 @@ from surgbench.conformance import answers, inputs, isolation
 from surgbench.conformance.answers import Alive, DoubtError
 from surgbench.conformance.session import CheckFailedError, Subject
 from surgbench.errors import SurgbenchError
+from surgbench.registry import find
 from surgbench.suite.worker import InvalidAnswerError
 
 Status = Literal["ok", "warning", "refused", "FAILED", "not run"]
@@ -36,7 +37,8 @@ CHECKS: dict[str, Check] = {
     "two arms": inputs.two_arms,
     "candidates": answers.candidates,
 }
-FIRST = "plain sequence"
+# What a tracker or controller must get through before it is put to the others.
+FIRST = ("plain sequence", "plain trial")
 # A tracker may say, with a SurgbenchError, that it does not do this.
 MAY_REFUSE = ("readings", "kinematics", "two arms")
 
@@ -59,22 +61,31 @@ class Outcome:
     needs_kinematics: bool = False
 
 
+def checks_of(subject: Subject) -> dict[str, Check]:
+    """The checks of its task."""
+    if find("tracker", subject.reference).task == "instrument":
+        return CHECKS
+    from surgbench.conformance.viewpoint import VIEWPOINT_CHECKS
+
+    return VIEWPOINT_CHECKS
+
+
 def run_check(name: str, subject: Subject, alive: Alive = lambda: None) -> Outcome:
     """Run one check in this process, whatever the tracker raises.
 
     Args:
-        name: A key of :data:`CHECKS`.
+        name: A key of :func:`checks_of`.
         subject: The tracker.
         alive: Called after every reset and step.
     """
     try:
-        return Outcome(name, "ok", CHECKS[name](subject, alive))
+        return Outcome(name, "ok", checks_of(subject)[name](subject, alive))
     except DoubtError as doubt:
         return Outcome(name, "warning", str(doubt))
     except (CheckFailedError, InvalidAnswerError) as error:
         return Outcome(name, "FAILED", _line(error))
     except SurgbenchError as error:
-        if name == FIRST and not subject.kinematics:
+        if name in FIRST and not subject.kinematics:
             with_kinematics = run_check(name, replace(subject, kinematics=True), alive)
             if with_kinematics.status in ("ok", "warning"):
                 return Outcome(name, "refused", f"needs kinematics ({_line(error)})", needs_kinematics=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 
-from surgbench.conformance.checks import CHECKS, FIRST, Outcome
+from surgbench.conformance.checks import FIRST, Outcome, checks_of
 from surgbench.conformance.isolation import START_TIMEOUT_S, WORKER
 from surgbench.conformance.session import Subject
 from surgbench.suite.child import Child, ChildProblemError
@@ -15,11 +15,11 @@ def conduct(
     subject: Subject,
     timeout_s: float,
     report: Callable[[Outcome], None] = lambda _: None,
-    names: Iterable[str] = tuple(CHECKS),
+    names: Iterable[str] | None = None,
 ) -> list[Outcome]:
     """Check a tracker.
 
-    A tracker that does not get through the first check, a plain sequence, is not put to the others.
+    What does not get through the first check, a plain sequence or trial, is not put to the others.
 
     Args:
         subject: The tracker.
@@ -33,9 +33,9 @@ def conduct(
     outcomes: list[Outcome] = []
     child: Child | None = None
     try:
-        for name in names:
-            if any(outcome.check == FIRST and outcome.status == "FAILED" for outcome in outcomes):
-                outcome = Outcome(name, "not run", "for it does not get through a plain sequence")
+        for name in checks_of(subject) if names is None else names:
+            if any(outcome.check in FIRST and outcome.status == "FAILED" for outcome in outcomes):
+                outcome = Outcome(name, "not run", "for it does not get through the first")
             else:
                 child = child or _begin(timeout_s)
                 outcome = _ask(child, name, subject)

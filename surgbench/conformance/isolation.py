@@ -22,7 +22,7 @@ def no_global_randomness(subject: Subject, alive: Alive) -> str:
     """Neither reset nor step reads or seeds a generator that is everybody's."""
     play = subject.play()
     run_through(subject.make(), play, alive)  # imports what it needs, PyTorch perhaps
-    generators = _global_generators()
+    generators = global_generators()
     kept = {name: get() for name, (get, _, _) in generators.items()}
     try:
         for _, draw, _ in generators.values():
@@ -41,7 +41,7 @@ def no_global_randomness(subject: Subject, alive: Alive) -> str:
 _Generator = tuple[Callable[[], Any], Callable[[], Any], Callable[[Any], Any]]
 
 
-def _global_generators() -> dict[str, _Generator]:
+def global_generators() -> dict[str, _Generator]:
     """Of every library that is loaded: how to get its state, draw from it, and put a state back."""
     generators: dict[str, _Generator] = {
         "random": (random.getstate, random.random, random.setstate),

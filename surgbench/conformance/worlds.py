@@ -1,4 +1,4 @@
-"""Random worlds of the viewpoint task for tests: features that move anyhow, bases and zones anywhere near."""
+"""Small worlds of the viewpoint task: a ring that circles, and ones where features, bases and starts are anything."""
 
 from __future__ import annotations
 
