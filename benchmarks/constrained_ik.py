@@ -106,7 +106,7 @@ def residual_form(points: FloatArray, start: FloatArray) -> FloatArray:
 
 
 def by_nlopt(weights: WeightsConfig, **options: float) -> Solve:
-    solver = ConstrainedIK(ARM, BOUNDS, DISTANCE_M, SolverConfig(**options), weights)  # type: ignore[arg-type]
+    solver = ConstrainedIK(ARM, BOUNDS, DISTANCE_M, SolverConfig(**options), weights)
     return lambda points, start: solver.solve(points, start).joints
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from scipy.optimize import minimize
+from scipy.optimize import Bounds, minimize
 from worlds import ZONE_M, circling, feature_poses, make_trial, random_trial
 
 from surgbench.errors import ConfigError
@@ -44,7 +44,7 @@ def controller(name: str, **options: Any) -> Any:
 
 
 def feature_at(position: Any = FEATURE_M, normal: Any = OPEN) -> FloatArray:
-    return feature_poses(np.array([position], dtype=float), np.array([normal], dtype=float))[0]
+    return np.asarray(feature_poses(np.array([position], dtype=float), np.array([normal], dtype=float))[0])
 
 
 def scene_of(feature: FloatArray, **changes: Any) -> ViewpointScene:
@@ -205,7 +205,12 @@ def test_the_optimiser_is_as_good_as_scipys() -> None:
             return exact.objective(points, joints, gradient), gradient
 
         other = minimize(
-            value, start, jac=True, method="SLSQP", bounds=BOUNDS.T, options={"ftol": 1e-14, "maxiter": 1000}
+            value,
+            start,
+            jac=True,
+            method="SLSQP",
+            bounds=Bounds(BOUNDS[0], BOUNDS[1]),
+            options={"ftol": 1e-14, "maxiter": 1000},
         )
         ours = exact.solve(points, start)
         assert ours.cost == exact.objective(points, ours.joints, np.empty(0))
@@ -532,6 +537,18 @@ def test_out_of_reach_the_optimiser_looks_better_than_clipped_joints() -> None:
     assert view_angle(command.target) < 10 < view_angle(plain.target)
 
 
+def test_the_codes_sleep_is_in_flagged_steps_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    slept: list[float] = []
+    monkeypatch.setattr("time.sleep", slept.append)
+    scene, feature, joints, _ = below()
+    ask("autocam-published", scene, feature, joints)
+    assert slept == []
+    ask("autocam-published", scene, feature, joints, sleep_s=0.005)
+    assert slept == [0.005]
+    ask("autocam-published", scene, feature_at(), reach(scene, naive_pose(feature_at())), sleep_s=0.005)
+    assert slept == [0.005]
+
+
 # Whatever happens.
 
 
@@ -594,8 +611,8 @@ def test_pickled_in_the_middle_it_goes_on_the_same(name: str) -> None:
         if index < 30:
             answer(one, feature, trial.start, index)
             continue
-        targets = [answer(each, feature, trial.start, index).target for each in (one, two)]
-        np.testing.assert_array_equal(*targets)
+        here, there = (answer(each, feature, trial.start, index).target for each in (one, two))
+        np.testing.assert_array_equal(here, there)
 
 
 @pytest.mark.parametrize(
