@@ -120,7 +120,7 @@ class ConstrainedIK:
         try:
             self._optimiser.optimize(seed)
             success = self._optimiser.last_optimize_result() in _SUCCESSES
-        except (nlopt.RoundoffLimited, RuntimeError, ValueError):
+        except _FAILURES:
             success = False  # what it had is kept
         return Solution(best[:6].copy(), float(best[6]), int(best[7]), success)
 
@@ -140,4 +140,6 @@ class ConstrainedIK:
         return optimiser
 
 
+# Before version 2.11 a failure was Python's own RuntimeError.
+_FAILURES = (RuntimeError, nlopt.RoundoffLimited, getattr(nlopt, "runtime_error", RuntimeError))
 _SUCCESSES = (nlopt.SUCCESS, nlopt.STOPVAL_REACHED, nlopt.FTOL_REACHED, nlopt.XTOL_REACHED)
