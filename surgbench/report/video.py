@@ -116,6 +116,11 @@ class Scenery:
         self.camera = self.recording.camera if self._auxiliary is None else self._auxiliary.camera
         self._evaluator: SilhouetteEvaluator = SilhouetteEvaluator(self.instruments, self.camera)
 
+    @property
+    def is_auxiliary(self) -> bool:
+        """Whether this is another view than the endoscope's."""
+        return self._auxiliary is not None
+
     def reference(self, frame: int) -> Mask:
         """The mask that the tracker saw."""
         return (self._auxiliary or self.recording).mask(self.kind, frame)
@@ -225,7 +230,9 @@ def contact_sheet(scenery: Scenery, shots: Sequence[Shot], frames: Sequence[int]
         panels = []
         for frame in frames:
             panel = scenery.panel(frame, [shot], scale, window)
-            write_note(panel, _error_text(shot, frame), SMALL_PX)
+            # Records have mask errors in the endoscope's view alone.
+            if not scenery.is_auxiliary:
+                write_note(panel, _error_text(shot, frame), SMALL_PX)
             panels.append(panel)
         height, width = panels[0].shape[:2]
         rows.append(beside([side_label(shot.title, height, TITLE_PX), beside(panels, _GAP)]))
