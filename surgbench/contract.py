@@ -149,7 +149,13 @@ class Plugin:
 
 
 class InstrumentTracker(Plugin):
-    """Estimates the state of one or two instruments frame by frame."""
+    """Estimates the state of one or two instruments frame by frame.
+
+    Attributes:
+        one_view: It looks at the reference view alone; then it is not run where there are more.
+    """
+
+    one_view: ClassVar[bool] = False
 
     def reset(self, scene: Scene, state: FloatArray, rng: np.random.Generator) -> None:
         """Start a sequence at ``state`` (``(9 * arms,)``). Untimed; everything slow belongs here."""

@@ -26,6 +26,13 @@ class Still:
         return observation.start
 
 
+class OneEyed(Still):
+    """Looks at the endoscope's picture alone."""
+
+    name = "one-eyed"
+    one_view = True
+
+
 class Noisy(Still):
     """Random, from the generator it is given."""
 

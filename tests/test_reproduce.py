@@ -20,6 +20,7 @@ from surgbench.reproduce.check import Chosen, beyond_tolerance, choose
 from surgbench.reproduce.compare import PUBLISHED, Pair, compare
 from surgbench.reproduce.consistency import inconsistencies
 from surgbench.reproduce.fingerprint import head, record_sha256
+from surgbench.reproduce.markdown import markdown
 from surgbench.reproduce.published import load_published
 from surgbench.reproduce.results import Results, read_results
 from surgbench.reproduce.sheet import sheet_of
@@ -125,6 +126,25 @@ def test_page_has_published_figures_and_ratios(made: Path, results: Results) -> 
     assert "NVIDIA RTX 4090" in page
     assert "### Above the floor" in page
     assert "not to be quoted" not in page
+
+
+def test_without_published_figures_rows_are_held_against_each_other(tmp_path: Path, results: Results) -> None:
+    content = json.loads(json.dumps(TABLE))
+    del content["published"]
+    still, noisy = content["blocks"][0]["rows"]
+    del still["published"], noisy["published"], noisy["floor"]
+    noisy["against"] = "still"
+    (tmp_path / "tiny.yaml").write_text(yaml.safe_dump(content), encoding="utf-8")
+    definition = load_table(str(tmp_path / "tiny.yaml"))
+    page = markdown(definition, results)
+    assert "Times were measured on one core of" in page
+    assert not any(words in page for words in ("Beside", "bettered", "RTX"))
+    ours, other = (row["rotation_error_rad"] for row in reversed(results.rows))
+    change = f"{100 * (ours / other - 1):+.0f} %".replace("-", "−")
+    assert f"| Noisy, with joints | `still` | {change} |" in page
+    tips = {(one["row_id"], one["unit"]): one["tip_error_m"] for one in results.sequences}
+    better = tips["noisy-joints", "000-left"] < tips["still", "000-left"]
+    assert f"| {int(better)} of 1 |" in page
 
 
 def test_latencies_are_those_of_the_runs_one_at_a_time(made: Path, results: Results) -> None:
@@ -299,6 +319,7 @@ def test_unknown_table_offers_the_nearest(capsys: pytest.CaptureFixture[str]) ->
         ({"tracker": "cmeas"}, "unknown tracker 'cmeas'; did you mean 'cmaes'"),
         ({"keypoints": "observd"}, "unknown keypoints 'observd'"),
         ({"floor": "ground"}, "there is no row 'ground' to be its floor"),
+        ({"against": "other"}, "there is no row 'other' to be held against"),
         ({"row_id": "noisy-joints"}, "'noisy-joints' is given twice"),
         ({"tracker": "cmaes", "options": {"cmaes": {"iteration": 3}}}, "unknown key 'iteration'"),
         ({"lable": "x"}, "did you mean 'label'"),

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import cv2
 import numpy as np
 
+from surgbench.change_of_view import ChangeOfView
 from surgbench.contract import Mask
 from surgbench.errors import DatasetError, NotFoundError, SurgbenchError, unknown_name
 from surgbench.files import PARTIAL_SUFFIX
@@ -100,9 +101,10 @@ class Scenery:
     Args:
         dataset: The dataset that the unit is of.
         record: Any record of the unit.
+        view: Auxiliary view to look from; the endoscope unless told.
     """
 
-    def __init__(self, dataset: Dataset, record: Record) -> None:
+    def __init__(self, dataset: Dataset, record: Record, view: str | None = None) -> None:
         from surgbench.silhouette import SilhouetteEvaluator
 
         spec = record.spec
@@ -110,21 +112,28 @@ class Scenery:
         self.kind = spec.mask_kind
         arms = [arm for arm in self.recording.arms if arm in spec.arms]
         self.instruments: list[Instrument] = [dataset.instrument(self.recording.entry.instruments[arm]) for arm in arms]
-        self.camera = self.recording.camera
+        self._auxiliary = None if view is None else self.recording.auxiliary(view)
+        self.camera = self.recording.camera if self._auxiliary is None else self._auxiliary.camera
         self._evaluator: SilhouetteEvaluator = SilhouetteEvaluator(self.instruments, self.camera)
+
+    @property
+    def is_auxiliary(self) -> bool:
+        """Whether this is another view than the endoscope's."""
+        return self._auxiliary is not None
 
     def reference(self, frame: int) -> Mask:
         """The mask that the tracker saw."""
-        return self.recording.mask(self.kind, frame)
+        return (self._auxiliary or self.recording).mask(self.kind, frame)
 
     def ground(self, frame: int) -> Picture:
         """The image, or the mask in grey where there is none."""
-        image = self.recording.image(frame)
+        image = None if self._auxiliary is not None else self.recording.image(frame)
         return grey(self.reference(frame)) if image is None else image
 
-    def silhouette(self, state: list[float]) -> Mask:
-        """What an estimate covers."""
-        return self._evaluator.mask(np.array(state, dtype=np.float64))
+    def silhouette(self, state: list[float], frame: int) -> Mask:
+        """What an estimate covers; in an auxiliary view, where that is reported to be."""
+        T_view_cam = np.eye(4) if self._auxiliary is None else self._auxiliary.T_view_cam(self.kind)[frame]
+        return self._evaluator.mask(ChangeOfView(T_view_cam).states(np.array(state, dtype=np.float64)))
 
     @property
     def whole(self) -> Window:
@@ -159,7 +168,7 @@ class Scenery:
         for shot in shots:
             state = shot.state(frame)
             if state is not None:
-                draw_contours(picture, self.silhouette(state), shot.colour, thickness, scale, (left, top))
+                draw_contours(picture, self.silhouette(state, frame), shot.colour, thickness, scale, (left, top))
         return picture
 
 
@@ -221,7 +230,9 @@ def contact_sheet(scenery: Scenery, shots: Sequence[Shot], frames: Sequence[int]
         panels = []
         for frame in frames:
             panel = scenery.panel(frame, [shot], scale, window)
-            write_note(panel, _error_text(shot, frame), SMALL_PX)
+            # Records have mask errors in the endoscope's view alone.
+            if not scenery.is_auxiliary:
+                write_note(panel, _error_text(shot, frame), SMALL_PX)
             panels.append(panel)
         height, width = panels[0].shape[:2]
         rows.append(beside([side_label(shot.title, height, TITLE_PX), beside(panels, _GAP)]))
@@ -418,6 +429,8 @@ def _datasets(
 def draw(job: Job, options: VideoOptions, out: Path, advance: Callable[[float], None] = lambda _: None) -> list[Path]:
     """Draw one unit: ``<unit>.mp4``, ``<unit>.png`` and, if asked, ``<unit>-samples.png``.
 
+    Of runs with an auxiliary view there is a sheet of that view too, ``<unit>-<view>.png``.
+
     Args:
         job: From :func:`plan`.
         options: What to draw.
@@ -439,12 +452,18 @@ def draw(job: Job, options: VideoOptions, out: Path, advance: Callable[[float], 
 
     video, sheet, samples = (out / f"{job.name}{ending}" for ending in (".mp4", ".png", "-samples.png"))
     write_video(video, pictures(), options.fps or 1.0 / scenery.recording.dt_s)
+    written = [video, sheet]
     save_png(sheet, contact_sheet(scenery, shots, spread_frames(total, options.columns)))
+    for view in sorted({record.spec.view for record in job.records if record.spec.view is not None}):
+        seen = [shot for shot in shots if shot.record.spec.view == view]
+        of_view = Scenery(job.dataset, job.records[0], view)
+        written.append(out / f"{job.name}-{view}.png")
+        save_png(written[-1], contact_sheet(of_view, seen, spread_frames(total, options.columns)))
     if not options.samples:
-        return [video, sheet]
+        return written
     frames = spread_frames(total, min(SAMPLE_FRAMES, options.columns))
     save_png(samples, sample_sheet(job.dataset, scenery, shots, frames))
-    return [video, sheet, samples]
+    return [*written, samples]
 
 
 def make_shots(records: Sequence[Record]) -> list[Shot]:

@@ -61,7 +61,8 @@ class TableRow(Row):
         label: What it is called in the table.
         published: Its row among the published figures.
         floor: Row id of the floor it is held against.
-        against: Row id that it may better: the same without what it is to show the worth of.
+        against: Row id that it may better: the same without what it is to show the worth of. On a dataset of another
+            block that must be of the same motion.
         timing: What its latencies are measured on, where that differs from the table's: for what is very slow.
         quick_options: Options put over ``options`` in a quick run, for what is slow however few the frames are.
     """
@@ -185,9 +186,8 @@ class Table(_Part):
         for _, row in self.rows():
             if row.floor is not None and row.floor not in ids:
                 raise ValueError(f"row '{row.id}': there is no row '{row.floor}' to be its floor")
-        for block, row in self.rows():
-            if row.against is not None and row.against not in [other.id for other in block.rows]:
-                raise ValueError(f"row '{row.id}': its block has no row '{row.against}' to be held against")
+            if row.against is not None and row.against not in ids:
+                raise ValueError(f"row '{row.id}': there is no row '{row.against}' to be held against")
         names = [block.name for block in self.blocks]
         if len(set(names)) < len(names):
             raise ValueError("two blocks have the same name")

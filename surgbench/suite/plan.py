@@ -343,6 +343,8 @@ def _complete_instrument(row: Row, protocol: Protocol, dataset: Dataset) -> Inst
         raise ConfigError(f"'{dataset.name}' has no joint readings; use --no-joints")
     if row.view is not None:
         _check_view(row.view, protocol.arms, dataset)
+        if getattr(find("tracker", row.tracker).cls, "one_view", False):
+            raise ConfigError(f"--view {row.view}: tracker '{tracker.name}' looks at one view alone")
     joints, seen = "-joints" if row.readings != "none" else "", "" if row.view is None else f"-{row.view}"
     return InstrumentSettings(
         row_id=row.row_id or f"{tracker.name}{joints}{seen}",

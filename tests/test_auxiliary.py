@@ -1,0 +1,273 @@
+"""Auxiliary views from the generator to the leaderboard."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from commandline import records, surgbench
+
+from surgbench.camera import Camera
+from surgbench.change_of_view import ChangeOfView
+from surgbench.dataset import Dataset, tables
+from surgbench.dataset.validate import validate
+from surgbench.errors import ConfigError, DatasetError
+from surgbench.generators.auxiliary import (
+    REMOTE_CENTRE_M,
+    auxiliary_paths,
+    endoscope_pose,
+    feature_poses,
+    naive_pose,
+    report,
+)
+from surgbench.generators.generate import Part, generate, plan_dataset
+from surgbench.generators.presets import Preset, load_preset
+from surgbench.generators.sections import Auxiliary
+from surgbench.generators.sequence import make_tables
+from surgbench.geometry import FloatArray, inverse_transform, rotation_angle
+from surgbench.instrument import load_instrument
+from surgbench.report.records import read_records
+from surgbench.report.rows import derive_rows
+from surgbench.silhouette import SilhouetteEvaluator
+from surgbench.suite.execute import UnitData
+from surgbench.suite.plan import Protocol, Row, complete
+from surgbench.suite.replay import replay_traces
+
+SMALL = Camera(width=175, height=123, fx=226.5, fy=224.0, cx=73.2, cy=59.3)
+SIDE = Camera(width=128, height=96, fx=96.8, fy=96.4, cx=61.9, cy=47.0)
+FEW = Preset(name="few", pairs=1, frames=4, camera=SMALL, auxiliary=Auxiliary(camera=SIDE))
+OBSERVED = "sequences/000/views/naive/observations.parquet"
+POSES = "truth/000/views/naive/poses.parquet"
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("auxiliary") / "few"
+    generate(plan_dataset(FEW), out)
+    return out
+
+
+@pytest.fixture(scope="module")
+def path() -> FloatArray:
+    """A feature's poses over two seconds."""
+    preset = FEW.model_copy(update={"frames": 60})
+    instrument = load_instrument("large_needle_driver")
+    entry = plan_dataset(preset).sequences[0]
+    states = make_tables(preset, entry, instrument, SMALL).states[:, 0]
+    poses: FloatArray = feature_poses(Auxiliary(), instrument, states)
+    return poses
+
+
+# --- where the cameras are
+
+
+def test_the_geometric_pose_looks_back_along_the_normal_from_the_distance(path: FloatArray) -> None:
+    places, normals = path[:, :3, 3], path[:, :3, 1]
+    cameras = naive_pose(places, normals, 0.11)
+    in_view = np.einsum("tij,tj->ti", inverse_transform(cameras)[:, :3, :3], places - cameras[:, :3, 3])
+    np.testing.assert_allclose(in_view, np.tile([0, 0, 0.11], (len(path), 1)), atol=1e-12)
+    np.testing.assert_allclose(cameras[:, 2, 0], 0.0, atol=1e-12)  # level
+    np.testing.assert_allclose(np.linalg.det(cameras[:, :3, :3]), 1.0)
+    assert np.isfinite(naive_pose(np.zeros(3), np.array([0.0, 0.0, 1.0]), 0.11)).all()
+
+
+def test_what_is_followed_lies_between_the_jaws_and_its_normal_is_towards_the_camera_arm(path: FloatArray) -> None:
+    instrument = load_instrument("large_needle_driver")
+    states = make_tables(FEW, plan_dataset(FEW).sequences[0], instrument, SMALL).states[:, 1]
+    states[:, 8] = 0.0
+    feature = inverse_transform(endoscope_pose(Auxiliary())) @ feature_poses(Auxiliary(), instrument, states)
+    np.testing.assert_allclose(feature[:, :3, 3], instrument.tips_cam(states).mean(axis=1), atol=1e-6)
+    jaws = np.diff(instrument.tips_cam(states + 0.3 * np.eye(9)[8]), axis=1)[:, 0]
+    jaws /= np.linalg.norm(jaws, axis=1, keepdims=True)
+    np.testing.assert_allclose(np.abs((feature[:, :3, 1] * jaws).sum(axis=1)), 1.0, atol=1e-6)
+    hinge = inverse_transform(endoscope_pose(Auxiliary())) @ feature_poses(Auxiliary(normal="x"), instrument, states)
+    np.testing.assert_allclose((hinge[:, :3, 1] * jaws).sum(axis=1), 0.0, atol=1e-6)
+    assert path[:, :3, 1].mean(axis=0) @ REMOTE_CENTRE_M > 0
+
+
+def test_the_static_camera_stands_still_and_the_other_follows_with_its_lag(path: FloatArray) -> None:
+    paths = auxiliary_paths(Auxiliary(lag_s=0.0), path, 1 / 30, np.random.default_rng(0))
+    assert list(paths) == ["static", "naive"]
+    assert (paths["static"] == paths["static"][0]).all()
+    np.testing.assert_allclose(paths["naive"], naive_pose(path[:, :3, 3], path[:, :3, 1], 0.11), atol=1e-12)
+    step = np.tile(path[:1], (40, 1, 1))
+    step[10:, 0, 3] += 0.01
+    slow = auxiliary_paths(Auxiliary(lag_s=0.3), step, 1 / 30, np.random.default_rng(0))["naive"]
+    way = slow[:, 0, 3] - slow[0, 0, 3]
+    np.testing.assert_allclose(way[10:], 0.01 * (1 - np.exp(-(np.arange(30) + 1) / 9)), atol=1e-12)
+
+
+def test_a_reported_pose_has_a_constant_error_and_jitter() -> None:
+    true = np.tile(np.eye(4), (4000, 1, 1))
+    settings = Auxiliary(calibration_rad=0.01, calibration_m=0.002, jitter_m=1e-4)
+    constant = np.array([1.0, 0.0, 0.0, 0.0, -1.0, 0.0])
+    said = report(true, settings, constant, np.random.default_rng(0))
+    np.testing.assert_allclose(rotation_angle(said[:, :3, :3]), 0.01, atol=1e-12)
+    np.testing.assert_allclose(said[:, :3, 3].mean(axis=0), [0, -0.002, 0], atol=1e-5)
+    np.testing.assert_allclose(said[:, :3, 3].std(axis=0), 1e-4, rtol=0.05)
+    exact = Auxiliary(calibration_rad=0, calibration_m=0, jitter_m=0)
+    np.testing.assert_array_equal(report(true, exact, constant, np.random.default_rng(0)), true)
+
+
+# --- the dataset
+
+
+def test_masks_of_an_auxiliary_view_are_those_of_the_true_states_from_its_true_pose(made: Path) -> None:
+    assert validate(made) == []
+    dataset = Dataset.open(made)
+    sequence = dataset.sequences[0]
+    instrument = dataset.instrument("large_needle_driver")
+    evaluator = SilhouetteEvaluator([instrument], SIDE)
+    for name in ("static", "naive"):
+        view = sequence.auxiliary(name)
+        for arm in sequence.arms:
+            states = sequence.states(arm)
+            assert states is not None
+            for frame in range(sequence.frames):
+                own = ChangeOfView(view.true_T_view_cam(arm)[frame]).states(states[frame])
+                clean = view.clean_mask(arm, frame)
+                assert clean.any()
+                assert (evaluator.mask(own) != clean).sum() <= 2
+            error = view.T_view_cam(arm) @ inverse_transform(view.true_T_view_cam(arm))
+            assert 0 < np.linalg.norm(error[:, :3, 3], axis=1).mean() < 0.006
+            tips = view.keypoints(arm, arm)
+            assert np.isnan(tips[~SIDE.contains(tips)]).all()
+
+
+def test_a_part_has_the_same_files_as_the_whole(made: Path, tmp_path: Path) -> None:
+    generate(plan_dataset(FEW, Part(("000",), 2)), tmp_path / "part")
+    assert validate(tmp_path / "part") == []
+    masks = sorted((tmp_path / "part").rglob("*.png"))
+    assert sum("views" in path.parts for path in masks) == 2 * 2 * 2 * 2  # views, arms, frames; clean and observed
+    for path in masks:
+        assert path.read_bytes() == (made / path.relative_to(tmp_path / "part")).read_bytes()
+    whole, part = (Dataset.open(root).sequences[0].auxiliary("naive") for root in (made, tmp_path / "part"))
+    np.testing.assert_array_equal(part.T_view_cam("left"), whole.T_view_cam("left")[:2])
+
+
+def test_a_dataset_without_such_views_does_not_know_of_them(tmp_path: Path) -> None:
+    """So that its hash, and that of every run on it, is what it was."""
+    plain = FEW.model_copy(update={"auxiliary": None, "frames": 2})
+    generate(plan_dataset(plain), tmp_path / "plain")
+    assert "auxiliary" not in (tmp_path / "plain" / "dataset.json").read_text()
+    dataset = Dataset.open(tmp_path / "plain")
+    with pytest.raises(DatasetError, match="auxiliary view"):
+        dataset.sequences[0].auxiliary("naive")
+    with pytest.raises(ConfigError, match="'few' has no auxiliary views"):
+        complete(Row(tracker="cmaes", view="naive"), Protocol(), dataset)
+    assert "view" not in complete(Row(tracker="cmaes"), Protocol(), dataset).spec()
+
+
+def damage(root: Path, path: str, change: Callable[[dict[str, Any]], None]) -> None:
+    """Edit a table and make the manifest agree with it, as somebody who edits a dataset would."""
+    import pyarrow.parquet as parquet
+
+    table = parquet.read_table(root / path)
+    columns = {name: table.column(name).to_numpy().copy() for name in table.column_names if name != "frame"}
+    change(columns)
+    data = tables.encode_table(columns)
+    (root / path).write_bytes(data)
+    manifest = json.loads((root / "dataset.json").read_text())
+    manifest["files"][path] = {"bytes": len(data), "sha256": hashlib.sha256(data).hexdigest()}
+    (root / "dataset.json").write_text(json.dumps(manifest))
+
+
+def test_what_is_wrong_with_an_auxiliary_view_is_found(made: Path, tmp_path: Path) -> None:
+    root = shutil.copytree(made, tmp_path / "few")
+
+    def change(columns: dict[str, Any]) -> None:
+        columns["left_view_rx_rad"][1] = 4.0
+
+    def outside(columns: dict[str, Any]) -> None:
+        columns["right_u1_px"][2], columns["right_v1_px"][2] = 500.0, 3.0
+
+    damage(root, POSES, change)
+    damage(root, OBSERVED, outside)
+    (root / "sequences/000/views/static/observed/left/000002.png").unlink()
+    problems = validate(root)
+    assert len(problems) == 3
+    assert any("poses.parquet: frame 1: the view's pose for 'left'" in line for line in problems)
+    assert any("frame 2: a keypoint of the right arm lies outside the image" in line for line in problems)
+    assert any("static/observed/left/000002.png: missing" in line for line in problems)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"camera": "nowhere"}, "auxiliary view 'naive' names the unknown camera 'nowhere'"),
+        ({"kinds": ["visible_left"]}, "auxiliary view 'naive' has the kind 'visible_left', which the sequence has not"),
+    ],
+)
+def test_a_manifest_that_contradicts_itself_is_refused(
+    made: Path, tmp_path: Path, change: dict[str, Any], message: str
+) -> None:
+    manifest = json.loads((made / "dataset.json").read_text())
+    manifest["sequences"][0]["auxiliary"]["naive"].update(change)
+    (tmp_path / "dataset.json").write_text(json.dumps(manifest))
+    with pytest.raises(DatasetError, match=message):
+        Dataset.open(tmp_path)
+
+
+# --- runs
+
+
+def test_trackers_are_shown_the_reported_pose_and_not_the_true_one(made: Path) -> None:
+    dataset = Dataset.open(made)
+    data = UnitData(dataset, dataset.units("single")[1], "none", "naive")
+    sequence = dataset.sequences[0]
+    view = sequence.auxiliary("naive")
+    assert [one.camera for one in data.scene().views] == [SMALL, SIDE]
+    for frame in range(2):
+        seen = data.observation(frame, sequence.mask("right", frame)).views
+        assert len(seen) == 2
+        np.testing.assert_array_equal(seen[1].T_view_cam, view.T_view_cam("right")[frame])
+        np.testing.assert_array_equal(seen[1].mask, view.mask("right", frame))
+
+
+def test_a_run_with_a_view_is_a_row_of_its_own(made: Path, tmp_path: Path) -> None:
+    surgbench("run", "--dataset", made, "--tracker", "cmaes", "--out", tmp_path)
+    surgbench("run", "--dataset", made, "--tracker", "cmaes", "--view", "static", "--out", tmp_path)
+    rows = {row["row_id"]: row for row in derive_rows(read_records([tmp_path]))}
+    assert {id_: (row["views"], row["status"]) for id_, row in rows.items()} == {
+        "cmaes": (1, "ok"),
+        "cmaes-static": (2, "ok"),
+    }
+    assert rows["cmaes-static"]["variant"] == "also the view static"
+    record = next(one for one in records(tmp_path) if one["spec"].get("view") == "static")
+    assert replay_traces(record, Dataset.open(made), [1])[1].states
+
+
+def test_gradients_contours_and_particles_take_two_views_too(made: Path, tmp_path: Path) -> None:
+    for tracker in ("adam", "hybrid", "particle-filter"):
+        surgbench("run", "--dataset", made, "--tracker", tracker, "--joints", "--view", "naive", "--out", tmp_path)
+    found = records(tmp_path)
+    assert [record["status"] for record in found] == ["ok"] * 6
+
+
+def test_what_cannot_be_is_said_in_one_line(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for arguments, message in (
+        (("--tracker", "cmaes", "--view", "navie"), "unknown auxiliary view 'navie'; did you mean 'naive'?"),
+        (("--tracker", "cmaes", "--view", "naive", "--arms", "dual"), "shows each arm alone; use --arms single"),
+        (("--tracker", f"{Path(__file__).with_name('strangers.py')}:OneEyed", "--view", "naive"), "one view alone"),
+    ):
+        surgbench("run", "--dataset", made, *arguments, "--out", tmp_path, expect=2)
+        assert message in capsys.readouterr().err
+
+
+def test_the_preset_is_there_and_options_that_will_not_do_are_refused() -> None:
+    preset = load_preset("auxiliary-view")
+    assert preset.auxiliary is not None
+    assert preset.auxiliary == Auxiliary()
+    for wrong, message in (
+        ({"views": ["static", "static"]}, "named twice"),
+        ({"views": ["nobody"]}, "static"),
+        ({"camera": {**SIDE.model_dump(), "distortion": [0.1, 0, 0, 0, 0]}}, "undistorted"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            Auxiliary.model_validate(wrong)
