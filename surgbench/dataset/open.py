@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 from surgbench.dataset.format import Manifest, read_manifest
 from surgbench.dataset.reader import Dataset
@@ -12,7 +12,8 @@ from surgbench.dataset.reader import Dataset
 if TYPE_CHECKING:
     from surgbench.viewpoint.dataset import ViewpointDataset
 
-    AnyDataset = Dataset | ViewpointDataset
+
+AnyDataset: TypeAlias = "Dataset | ViewpointDataset"
 
 
 def open_dataset(path: Path | str) -> AnyDataset:
