@@ -10,8 +10,8 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.optimize import Bounds, minimize
-from worlds import ZONE_M, circling, feature_poses, make_trial, random_trial
 
+from surgbench.conformance.worlds import ZONE_M, circling, feature_poses, make_trial, random_trial
 from surgbench.errors import ConfigError
 from surgbench.geometry import FloatArray, inverse_transform, is_rigid, rigid_transform, rotation_from_vector
 from surgbench.registry import create, find
