@@ -34,7 +34,7 @@ LARGEST_DAMPING = 1e6
 CLOSEST_M = 1e-6
 
 
-@compiled(makes_arrays=True)
+@compiled(makes_arrays=True, calls="viewpoint")
 def residuals(
     arm: FloatArray,
     reach_m: float,
@@ -156,7 +156,7 @@ def residuals(
     return cost
 
 
-@compiled(makes_arrays=True)
+@compiled(makes_arrays=True, calls="viewpoint")
 def fit(
     arm: FloatArray,
     reach_m: float,
