@@ -1,12 +1,10 @@
 """Auxiliary cameras: how they move, and what a tracker is told of where they are.
 
-:func:`auxiliary_paths` is where controllers move cameras. Until they do, two cameras without an arm stand in for
-them: one that stands still, and one that goes to AutoCam's geometric pose with a lag.
+Each view is the camera of an arm that a viewpoint controller moves (:mod:`surgbench.generators.held_cameras`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +14,7 @@ from surgbench.change_of_view import ChangeOfView
 from surgbench.dataset import tables
 from surgbench.dataset.auxiliary import keypoint_columns
 from surgbench.dataset.format import ARMS, Arm
+from surgbench.generators.held_cameras import REMOTE_CENTRE_M, held_camera_path
 from surgbench.generators.observations import observe_keypoints
 from surgbench.generators.presets import Preset
 from surgbench.generators.sections import Auxiliary
@@ -30,9 +29,6 @@ from surgbench.instrument import Instrument
 from surgbench.randomness import generator
 
 AUXILIARY_CAMERA = "auxiliary"
-# From the followed feature's mean to the camera arm's remote centre, in the world: mean over AutoCam's logs.
-REMOTE_CENTRE_M = np.array([0.165, -0.118, 0.190])
-UP = np.array([0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True)
@@ -67,54 +63,19 @@ def auxiliary_paths(
         settings: Which views there are, and what they aim at.
         T_world_feature: ``(T, 4, 4)`` what is followed; its y axis is the normal, towards the camera arm.
         dt_s: Seconds between frames.
-        rng: The only source of randomness; none is needed so far.
+        rng: The only source of randomness.
 
     Returns:
         View to ``(T, 4, 4)`` T_world_view.
     """
-    makers: Mapping[str, Callable[[], FloatArray]] = {
-        "static": lambda: _static(settings, T_world_feature),
-        "naive": lambda: _follow(settings, T_world_feature, dt_s),
+    # Of its own for each view, so that one more view changes no other.
+    seeds = int(rng.integers(1 << 62))
+    return {
+        name: held_camera_path(
+            name, T_world_feature, dt_s, settings.distance_m, generator(view=name, camera_path=seeds)
+        )
+        for name in settings.views
     }
-    return {name: makers[name]() for name in settings.views}
-
-
-def naive_pose(place_m: FloatArray, normal: FloatArray, distance_m: float) -> FloatArray:
-    """AutoCam's geometric pose: at a distance along the normal, looking back along it, the x axis level.
-
-    ``z = -normal``, ``x = (up x z) / |up x z|``, ``y = z x x``, so that the picture is upside down, as AutoCam's is.
-    Straight up or down, where no direction is level, x is the world's -y.
-
-    Args:
-        place_m: ``(..., 3)`` the feature in the world.
-        normal: ``(..., 3)`` of unit length.
-        distance_m: From feature to camera.
-
-    Returns:
-        ``(..., 4, 4)`` T_world_view.
-    """
-    z = -normal
-    level = np.cross(UP, z)
-    length = np.linalg.norm(level, axis=-1, keepdims=True)
-    x = np.where(length > 1e-9, level / np.maximum(length, 1e-9), [0.0, -1.0, 0.0])
-    return rigid_transform(np.stack([x, np.cross(z, x), z], axis=-1), place_m + distance_m * normal)
-
-
-def _static(settings: Auxiliary, T_world_feature: FloatArray) -> FloatArray:
-    """The geometric pose for the mean feature, all the time."""
-    normal = T_world_feature[:, :3, 1].mean(axis=0)
-    pose = naive_pose(T_world_feature[:, :3, 3].mean(axis=0), normal / np.linalg.norm(normal), settings.distance_m)
-    return np.tile(pose, (len(T_world_feature), 1, 1))
-
-
-def _follow(settings: Auxiliary, T_world_feature: FloatArray, dt_s: float) -> FloatArray:
-    """The geometric pose for a feature that is known with a first-order lag."""
-    share = 1.0 - np.exp(-dt_s / settings.lag_s) if settings.lag_s > 0 else 1.0
-    known = T_world_feature[:, :3, [1, 3]].copy()  # normal and place
-    for frame in range(1, len(known)):
-        known[frame] = known[frame - 1] + share * (known[frame] - known[frame - 1])
-    normal = known[..., 0] / np.linalg.norm(known[..., 0], axis=1, keepdims=True)
-    return naive_pose(known[..., 1], normal, settings.distance_m)
 
 
 def endoscope_pose(settings: Auxiliary) -> FloatArray:

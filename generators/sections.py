@@ -8,6 +8,8 @@ from pydantic import Field, field_validator
 
 from surgbench.camera import Camera
 from surgbench.config import Section
+from surgbench.errors import SurgbenchError
+from surgbench.registry import find
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -53,7 +55,6 @@ class Kinematics(Section):
 # The left one of AutoCam's stereo pair at the size at which it is used (arXiv 2505.10398, published calibration). Masks
 # are those of its undistorted picture.
 AUTOCAM_CAMERA = Camera(width=512, height=384, fx=387.365, fy=385.763, cx=247.653, cy=187.991)
-AuxiliaryName = Literal["static", "naive"]
 
 
 class Auxiliary(Section):
@@ -66,12 +67,11 @@ class Auxiliary(Section):
 
     Attributes:
         camera: Of all views.
-        views: Which there are (``generators/auxiliary.py``).
+        views: Which there are: names of the viewpoint controllers that move the cameras.
         endoscope_pitch_rad: How far below the horizon the endoscope looks.
         feature_m: From the wrist's yaw axis to what is followed; the jaws' tips are at 9 mm.
         normal: Axis of the tool frame.
         distance_m: Wanted from camera to feature; d_t of AutoCam.
-        lag_s: Time constant of the view ``naive``.
         calibration_rad: Standard deviation of what the reported T_view_cam is turned by over a whole sequence, each
             component of a rotation vector in the view's frame. It is the same for all views of a sequence.
         calibration_m: The same, each component of a translation.
@@ -80,12 +80,11 @@ class Auxiliary(Section):
     """
 
     camera: Camera = AUTOCAM_CAMERA
-    views: Annotated[tuple[AuxiliaryName, ...], Field(min_length=1)] = ("static", "naive")
+    views: Annotated[tuple[str, ...], Field(min_length=1)] = ("static", "gaze")
     endoscope_pitch_rad: Annotated[float, Field(ge=0, lt=1.57)] = 0.7853981633974483
     feature_m: Finite = 0.009
     normal: Literal["x", "y"] = "y"
     distance_m: Positive = 0.11
-    lag_s: NotNegative = 0.3
     calibration_rad: NotNegative = 0.005235987755982988
     calibration_m: NotNegative = 0.001
     jitter_rad: NotNegative = 0.0
@@ -100,9 +99,16 @@ class Auxiliary(Section):
 
     @field_validator("views")
     @classmethod
-    def _once(cls, value: tuple[AuxiliaryName, ...]) -> tuple[AuxiliaryName, ...]:
+    def _controllers(cls, value: tuple[str, ...]) -> tuple[str, ...]:
         if len(set(value)) < len(value):
             raise ValueError("a view is named twice")
+        for name in value:
+            try:
+                found = find("tracker", name)
+            except SurgbenchError as error:
+                raise ValueError(str(error)) from None
+            if found.task != "viewpoint":
+                raise ValueError(f"'{name}' is no controller of a camera's viewpoint")
         return value
 
 
