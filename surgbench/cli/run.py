@@ -37,6 +37,13 @@ def run(
     ] = None,
     keypoints: Annotated[str | None, typer.Option(metavar="NAME", help="Keypoint source; default: observed.")] = None,
     filter_: Annotated[str | None, typer.Option("--filter", metavar="NAME", help="Default: kalman.")] = None,
+    registration: Annotated[
+        Literal["none", "translation", "rigid"] | None,
+        typer.Option(help="Viewpoint task: how the camera arm's base is registered; default: translation."),
+    ] = None,
+    missing_face: Annotated[
+        bool, typer.Option("--missing-face", help="Viewpoint task: one side of the no-go zone open, as published.")
+    ] = False,
     set_: Annotated[
         list[str] | None, typer.Option("--set", metavar="NAME.option=value", help="An option; may be repeated.")
     ] = None,
@@ -60,7 +67,7 @@ def run(
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be run, and run nothing.")] = False,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of records.")] = Path("runs"),
 ) -> None:
-    """Run trackers on a dataset; every run becomes a record, and what is recorded is not run again.
+    """Run trackers, or viewpoint controllers, on a dataset; every run becomes a record, and is not run again.
 
     Example: surgbench run --dataset data/mini --tracker cmaes --set cmaes.iterations=5
 
@@ -86,6 +93,8 @@ def run(
         "filter": filter_,
         "readings": _readings(no_joints, joints, readings),
         "view": view,
+        "registration": registration,
+        "missing_face": missing_face or None,
         "sequences": sequences,
         "frames": frames,
     }
