@@ -100,7 +100,7 @@ def test_joints_meet_their_goals_together_and_do_not_pass_them() -> None:
     for _ in range(200):
         change = acceleration * dt
         box = np.array([place + (velocity - change) * dt, place + (velocity + change) * dt])
-        chase(place, goal, np.zeros(2), box, acceleration, dt, after)
+        chase(place, goal, np.zeros(2), box, acceleration, dt, 1.0, after)
         velocity, place = (after - place) / dt, after.copy()
         assert (np.abs(place) <= np.abs(goal) + 1e-5).all()
         arrivals += np.abs(place - goal) > 1e-6

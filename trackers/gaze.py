@@ -24,6 +24,9 @@ class GazeConfig(BaseModel):
     filter_gain: Annotated[float, Field(gt=0, le=1, description="alpha of the filter of the feature's motion")] = 0.7
     normal_gain: Annotated[float, Field(gt=0, le=1, description="the same for the feature's normal")] = 0.5
     feed_forward: Annotated[float, Field(ge=0, le=1, description="share of the goal's velocity counted on")] = 0.3
+    patience_rad: Annotated[
+        Positive, Field(description="so far may roll and wrist be behind while the other joints go at half their pace")
+    ] = 0.03
     goal_iterations: Annotated[int, Field(ge=1, description="of the fit of where the camera should be in the end")] = 6
     step_iterations: Annotated[int, Field(ge=1, description="of the fit of where it can be next")] = 12
     margin_m: Annotated[NotNegative, Field(description="kept from floor and no-go zone")] = 0.002
@@ -72,7 +75,7 @@ class Gaze(ViewpointTracker):
         self._limits = np.array([arm.lower, arm.upper, arm.velocity, arm.acceleration])
         self._options = np.array([
             scene.dt_s, scene.dt_s + scene.servo_lag_s, scene.distance_m, config.filter_gain, config.normal_gain,
-            config.feed_forward,
+            config.feed_forward, config.patience_rad,
         ])  # fmt: skip
         self._iterations = np.array([config.goal_iterations, config.step_iterations], dtype=np.float64)
         self._motion: FloatArray | None = None

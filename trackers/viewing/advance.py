@@ -97,7 +97,8 @@ def advance(
         arm: ``(3,)`` of the kinematics.
         reach_m: From tool to camera.
         limits: ``(4, 6)`` lower and upper joint limits, largest velocities and accelerations.
-        options: ``(6,)`` period, time ahead, distance, the two filter gains, the share fed forward.
+        options: ``(7,)`` period, time ahead, distance, the two filter gains, the share fed forward, and by how
+            much roll and wrist are behind when the others go at half their pace.
         goal_weights: ``(6,)``.
         step_weights: ``(6,)``.
         iterations: ``(2,)`` of the two fits.
@@ -150,7 +151,12 @@ def advance(
             break
         speed[joint] *= options[5]
     last[:3] = goal[:3]
-    at_once = chase(setpoint[:3], goal[:3], speed[:3], box[:, :3], limits[3, :3], dt_s, out[:3])
+    # No faster than these can follow: what they are behind by tells.
+    behind = 0.0
+    for joint in range(3, 6):
+        behind = max(behind, abs(last[joint] - setpoint[joint]))
+    pace = 1.0 / (1.0 + (behind / options[6]) ** 2)
+    at_once = chase(setpoint[:3], goal[:3], speed[:3], box[:, :3], limits[3, :3], dt_s, pace, out[:3])
     view = goal.copy()
     if not at_once:
         view[:3], view[3:] = out[:3], last[3:]
@@ -165,5 +171,5 @@ def advance(
         if abs(speed[joint]) > limits[2, joint]:
             speed[joint] = 0.0
         last[joint] = view[joint]
-    at_once = chase(setpoint[3:], view[3:], speed[3:], box[:, 3:], limits[3, 3:], dt_s, out[3:]) and at_once
+    at_once = chase(setpoint[3:], view[3:], speed[3:], box[:, 3:], limits[3, 3:], dt_s, 1.0, out[3:]) and at_once
     return FITTED if not free else (AT_ONCE if at_once else LATER)

@@ -35,6 +35,7 @@ def chase(
     box: FloatArray,
     acceleration: FloatArray,
     dt_s: float,
+    pace: float,
     after: FloatArray,
 ) -> bool:
     """Where joints should be after one step, so that they meet a moving goal together and without passing it.
@@ -48,6 +49,7 @@ def chase(
         box: ``(2, n)`` least and largest places that the joints can reach in the step.
         acceleration: ``(n,)`` of the joints, largest.
         dt_s: Of the step.
+        pace: Share of that speed which is used, above 0 and at most 1.
         after: ``(n,)``, filled: places after the step, within ``box``.
 
     Returns:
@@ -57,7 +59,7 @@ def chase(
     for k in range(len(place)):
         longest = max(longest, abs(goal[k] - goal_velocity[k] * dt_s - place[k]) / acceleration[k])
     unit = dt_s / 2
-    closing = math.sqrt(unit * unit + 2 * longest) - unit
+    closing = pace * (math.sqrt(unit * unit + 2 * longest) - unit)
     share = 1.0 if longest <= closing * dt_s else closing * dt_s / longest
     met = True
     for k in range(len(place)):
