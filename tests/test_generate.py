@@ -246,7 +246,17 @@ def test_readings_have_bias_drift_and_noise() -> None:
 
 
 def test_every_preset_loads() -> None:
-    assert packaged_names("presets") == ["agile", "mini", "mismatch", "paper", "paper-rcm"]
+    assert packaged_names("presets") == [
+        "agile",
+        "mini",
+        "mismatch",
+        "paper",
+        "paper-rcm",
+        "wire-chaser",
+        "wire-chaser-easy",
+        "wire-chaser-hard",
+        "wire-chaser-mini",
+    ]
     mini, paper = load_preset("mini"), load_preset("paper")
     assert (mini.pairs, mini.frames) == (1, 60)
     assert (paper.pairs, paper.frames) == (16, 1000)
