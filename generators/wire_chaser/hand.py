@@ -59,6 +59,11 @@ def draw_truncated(mean: float, deviation: float, bounds: tuple[float, float], r
             return float(value)
 
 
+def stretch_m(wire: WireShape, time_s: float, hand: Hand) -> float:
+    """How much of the wire the ring goes along, there and back."""
+    return float(min(wire.length_m, hand.speed_m_s * time_s / 2))
+
+
 def draw_travel(wire: WireShape, samples: int, dt_s: float, hand: Hand, rng: np.random.Generator) -> Travel:
     """There and back along the wire, or a part of it where time is short.
 
@@ -66,7 +71,7 @@ def draw_travel(wire: WireShape, samples: int, dt_s: float, hand: Hand, rng: np.
     wire is bent, so that the speed follows the curvature's power.
     """
     total_s = (samples - 1) * dt_s
-    stretch = min(wire.length_m, hand.speed_m_s * total_s / 2)
+    stretch = stretch_m(wire, total_s, hand)
     start = rng.uniform(0.0, wire.length_m - stretch)
     moving_s = (1.0 - rng.uniform(*hand.rest_share)) * total_s
     ways = [_movements(moving_s / 2, hand, rng) for _ in range(2)]

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from surgbench.errors import ConfigError
-from surgbench.generators.wire_chaser.hand import RingMotion, draw_travel, draw_truncated, lead_ring, lean
+from surgbench.generators.wire_chaser.hand import RingMotion, draw_travel, draw_truncated, lead_ring, lean, stretch_m
 from surgbench.generators.wire_chaser.presets import Measurement, WireChaser
 from surgbench.generators.wire_chaser.scene import TROCAR_M, draw_surroundings, rest
 from surgbench.generators.wire_chaser.wire import WireShape, search_wire, tool_axes
@@ -115,7 +115,8 @@ class _World:
     def lack(self, wire: WireShape) -> float:
         """By how much a wire, in the box, misses the wanted share, wherever on it the ring may rest."""
         wire = wire.moved(self.around.T_world_box)
-        places = np.linspace(0, len(wire.points_m) - 1, LOOKED_AT).astype(int).repeat(TILTS)
+        evenly = np.linspace(0.0, wire.length_m, LOOKED_AT)
+        places = np.searchsorted(wire.along_m, evenly).clip(0, len(wire.along_m) - 1).repeat(TILTS)
         normal = lean(self.side(wire) * wire.tangent[places], self.towards, self.preset.hand.lean) + self._tilts
         poses = np.tile(np.eye(4), (len(places), 1, 1))
         poses[:, :3, 1] = normal / np.linalg.norm(normal, axis=1, keepdims=True)
@@ -130,7 +131,9 @@ class _World:
         low, high = preset.constrained
         side = self.side(wire)
         tool = tool_axes(wire, around.centre_m + TROCAR_M)
-        for _ in range(LEADS):
+        # A part of the wire is not as constrained as the whole: where there is time for a part only, try more of them.
+        parts = np.ceil(wire.length_m / stretch_m(wire, samples * preset.dt_s, preset.hand))
+        for _ in range(LEADS * int(parts) ** 2):
             travel = draw_travel(wire, samples, preset.dt_s, preset.hand, rng)
             motion = lead_ring(wire, side, tool, self.towards, travel, preset.dt_s, preset.wire, preset.hand, rng)
             reported = measure(motion.T_world_feature, preset.measurement, preset.dt_s, rng)

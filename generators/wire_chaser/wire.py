@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -15,12 +16,11 @@ from surgbench.geometry import FloatArray
 # Between the points of a wire's polyline.
 STEP_M = 0.0005
 # Where a candidate is checked, between its ends.
-CHECKED = 120
+CHECKED = 80
 # Whither the first points climb: the mean azimuth of the camera arm, and the deviation from it.
 HEADING_RAD = (-0.62, 0.3)
 # The first and the last step of a control point in the search for a wire.
 FIRST_STEP_M, LAST_STEP_M = 0.006, 0.0004
-SHORTEST_CHORD_M = 0.002
 # A wire that is out of its bounds by this lacks as much as one that is bent twice too much.
 UNIT_M = 0.01
 # How much the tool rather turns with the wire than points away from its trocar, metres.
@@ -79,10 +79,7 @@ def search_wire(
     step, best = FIRST_STEP_M, np.inf
     for tried in range(tries):
         moved = points if tried == 0 else points + step * rng.standard_normal(points.shape)
-        spline = spline_through(moved)
-        if spline is None:
-            continue
-        wire = sample(spline, CHECKED)
+        wire = _glimpse(moved)
         score = shortcoming(wire, settings)
         if score < best:
             score += lack(wire)
@@ -93,7 +90,7 @@ def search_wire(
             # Steps grow as much where one in six succeeds as they shrink where five fail.
             step = max(step * 1.6**-0.2, LAST_STEP_M)
         if best == 0.0:
-            return sample(spline, int(np.ceil(wire.length_m / STEP_M)) + 1), tried + 1
+            return _sample(points, int(np.ceil(wire.length_m / STEP_M)) + 1), tried + 1
     return None, tries
 
 
@@ -126,10 +123,11 @@ def shortcoming(wire: WireShape, settings: WireSettings) -> float:
     spans = zip(extents_m(wire.points_m), settings.extent_m, strict=True)
     extent = sum(_outside(float(value), bounds) for value, bounds in spans) / UNIT_M
     length = _outside(wire.length_m, settings.length_m) / UNIT_M
-    square = ((wire.points_m[:, None] - wire.points_m[None]) ** 2).sum(axis=2)
+    inner = wire.points_m @ wire.points_m.T
+    square = np.diag(inner)[:, None] + np.diag(inner) - 2.0 * inner
     # Not within half a turn of the tightest bend.
     apart = np.abs(wire.along_m[:, None] - wire.along_m) > np.pi * max(settings.bend_radius_m, settings.apart_m / 2)
-    nearest = np.sqrt(square[apart].min()) if apart.any() else np.inf
+    nearest = np.sqrt(max(square.min(where=apart, initial=np.inf), 0.0))
     return float(outside + bent + extent + length + max(1.0 - nearest / settings.apart_m, 0.0))
 
 
@@ -140,8 +138,8 @@ def _outside(value: float, bounds: tuple[float, float]) -> float:
 def extents_m(points_m: FloatArray) -> FloatArray:
     """``(3,)`` how far points ``(n, 3)`` extend along their principal axes, longest first."""
     centred = points_m - points_m.mean(axis=0)
-    axes = np.linalg.svd(centred, full_matrices=False)[2]
-    return np.sort(np.ptp(centred @ axes.T, axis=0))[::-1]
+    axes = np.linalg.eigh(centred.T @ centred)[1]
+    return np.sort(np.ptp(centred @ axes, axis=0))[::-1]
 
 
 def tool_axes(wire: WireShape, trocar_m: FloatArray) -> FloatArray:
@@ -181,20 +179,32 @@ def tool_axes(wire: WireShape, trocar_m: FloatArray) -> FloatArray:
     return np.asarray(np.cos(smooth) * axis + np.sin(smooth) * other)
 
 
-def spline_through(points: FloatArray) -> CubicSpline | None:
-    """A cubic spline through points ``(n, 3)``; ``None`` where two that follow each other are one."""
-    chords = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    return CubicSpline(np.append(0.0, np.cumsum(chords)), points) if chords.min() > SHORTEST_CHORD_M else None
+@cache
+def _basis(count: int) -> FloatArray:
+    """``(3, CHECKED, count)``: what makes places on a spline, and their first two derivatives, of control points."""
+    spline = CubicSpline(np.linspace(0.0, 1.0, count), np.eye(count))
+    way = np.linspace(0.0, 1.0, CHECKED)
+    return np.stack([spline(way), spline(way, 1), spline(way, 2)])
 
 
-def sample(spline: CubicSpline, count: int) -> WireShape:
-    """``count`` places evenly along a spline."""
-    fine = np.linspace(0.0, spline.x[-1], 2 * count)
-    steps = np.linalg.norm(np.diff(spline(fine), axis=0), axis=1)
-    length = np.append(0.0, np.cumsum(steps))
-    along = np.linspace(0.0, length[-1], count)
-    place = np.interp(along, length, fine)
-    velocity, acceleration = spline(place, 1), spline(place, 2)
-    speed = np.linalg.norm(velocity, axis=1)
+def _glimpse(points: FloatArray) -> WireShape:
+    """A wire through control points ``(n, 3)``, at few places, which are not evenly spaced."""
+    place, velocity, acceleration = _basis(len(points)) @ points
+    return _shape(place, velocity, acceleration)
+
+
+def _sample(points: FloatArray, count: int) -> WireShape:
+    """A wire through control points ``(n, 3)``, at ``count`` places evenly along it."""
+    spline = CubicSpline(np.linspace(0.0, 1.0, len(points)), points)
+    fine = np.linspace(0.0, 1.0, 2 * count)
+    length = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(spline(fine), axis=0), axis=1)))
+    way = np.interp(np.linspace(0.0, length[-1], count), length, fine)
+    shape = _shape(spline(way), spline(way, 1), spline(way, 2))
+    return WireShape(np.linspace(0.0, length[-1], count), shape.points_m, shape.tangent, shape.curvature)
+
+
+def _shape(place: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> WireShape:
+    along = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(place, axis=0), axis=1)))
+    speed = np.maximum(np.linalg.norm(velocity, axis=1), 1e-9)
     curvature = np.linalg.norm(np.cross(velocity, acceleration), axis=1) / speed**3
-    return WireShape(along, spline(place), velocity / speed[:, None], curvature)
+    return WireShape(along, place, velocity / speed[:, None], curvature)

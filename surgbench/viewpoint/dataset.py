@@ -257,7 +257,7 @@ def read_scene(root: Path, entry: TrialEntry, data: bytes) -> SceneTruth:
 
 def pose_columns(poses: FloatArray) -> dict[str, FloatArray]:
     """Columns of ``(T, 4, 4)`` poses, NaN where they are."""
-    missing = np.isnan(poses).any(axis=(1, 2))
+    missing = np.asarray(np.isnan(poses).any(axis=(1, 2)))
     whole = np.where(missing[:, None, None], np.eye(4), poses)
     numbers = np.hstack([rotation_vector(whole[:, :3, :3]), whole[:, :3, 3]])
     numbers[missing] = np.nan
