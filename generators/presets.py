@@ -310,7 +310,10 @@ def load_preset(
     overrides = {"pairs": pairs, "frames": frames, "seed": seed, "corruption": corruption}
     given = {key: value for key, value in overrides.items() if value is not None}
     path = locate("presets", "preset", name_or_path)
-    preset = _parse(read_yaml(path, "preset"), str(path))
+    content = read_yaml(path, "preset")
+    if content.get("task", "instrument") != "instrument":
+        raise ConfigError(f"{path}: a preset of the {content['task']} task; expected one of the instrument task")
+    preset = _parse({key: value for key, value in content.items() if key != "task"}, str(path))
     if "/" in preset.instrument or preset.instrument.lower().endswith(SUFFIXES):
         preset = preset.model_copy(update={"instrument": str(path.parent.absolute() / preset.instrument)})
     if not given:

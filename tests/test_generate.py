@@ -247,7 +247,8 @@ def test_readings_have_bias_drift_and_noise() -> None:
 
 def test_every_preset_loads() -> None:
     views = ["auxiliary-view", "auxiliary-view-exact", "auxiliary-view-uncalibrated"]
-    assert packaged_names("presets") == ["agile", *views, "mini", "mismatch", "paper", "paper-rcm"]
+    chasers = ["wire-chaser", "wire-chaser-easy", "wire-chaser-hard", "wire-chaser-mini"]
+    assert packaged_names("presets") == ["agile", *views, "mini", "mismatch", "paper", "paper-rcm", *chasers]
     mini, paper = load_preset("mini"), load_preset("paper")
     assert (mini.pairs, mini.frames) == (1, 60)
     assert (paper.pairs, paper.frames) == (16, 1000)

@@ -17,8 +17,8 @@ def generate(
     out: Annotated[
         Path, typer.Option(help="The dataset's folder: new, empty, or an interrupted one of the same settings.")
     ],
-    sequences: Annotated[int | None, typer.Option(help="Pairs of trajectories, instead of the preset's.")] = None,
-    frames: Annotated[int | None, typer.Option(help="Frames per sequence, instead of the preset's.")] = None,
+    sequences: Annotated[int | None, typer.Option(help="Pairs of trajectories or trials, not the preset's.")] = None,
+    frames: Annotated[int | None, typer.Option(help="Frames or samples of each, not the preset's.")] = None,
     seed: Annotated[int | None, typer.Option(help="Seed, instead of the preset's.")] = None,
     jobs: Annotated[
         int | None, typer.Option(min=1, help="Worker processes; all cores unless told. The bytes do not depend on it.")
@@ -28,17 +28,16 @@ def generate(
         typer.Option(metavar="published|strong|none", help="How the masks are corrupted, instead of the preset's."),
     ] = None,
 ) -> None:
-    """Make a synthetic dataset: trajectories, masks, keypoints, joint readings, ground truth.
+    """Make a synthetic dataset: trajectories, masks, keypoints, joint readings, ground truth; or a wire chaser.
 
     Example: surgbench generate mini --out data/mini
 
     The same preset and seed give the same bytes. After an interruption the same command goes on where it stopped.
     """
-    from surgbench.generators.generate import generate as make
-    from surgbench.generators.generate import plan_dataset
-    from surgbench.generators.presets import load_preset
+    from surgbench.generators.dispatch import plan_preset
+    from surgbench.generators.resumable import generate as make
 
-    plan = plan_dataset(load_preset(preset, pairs=sequences, frames=frames, seed=seed, corruption=corruption))
+    plan = plan_preset(preset, sequences=sequences, frames=frames, seed=seed, corruption=corruption)
     workers = jobs or min(len(os.sched_getaffinity(0)), max(1, plan.frames // 20))
 
     def say(line: str) -> None:

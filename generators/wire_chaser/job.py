@@ -1,0 +1,239 @@
+"""The whole job of the wire chaser: from a preset to a dataset on disk, the same bytes every time."""
+
+from __future__ import annotations
+
+import ctypes
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from surgbench import __version__
+from surgbench.dataset import tables
+from surgbench.dataset.format import FORMAT, FileEntry, observations_path
+from surgbench.dataset.integrity import difference
+from surgbench.dataset.storage import file_entry
+from surgbench.files import canonical_json, write_atomic
+from surgbench.generators.resumable import (
+    MANIFEST_BYTES_PER_FILE,
+    SCRATCH_NAME,
+    blocks,
+    configuration,
+    ctrl_c_raises,
+    end_with_parent,
+    in_workers,
+)
+from surgbench.generators.wire_chaser.presets import WireChaser
+from surgbench.generators.wire_chaser.trial import StoppedError, draw_samples, make_trial
+from surgbench.geometry import FloatArray
+from surgbench.viewpoint.dataset import pose_columns, trial_files
+from surgbench.viewpoint.format import (
+    CONTACT,
+    SceneTruth,
+    TouchEntry,
+    TrialEntry,
+    ViewpointManifest,
+    WireEntry,
+    feature_path,
+    scene_path,
+)
+from surgbench.viewpoint.trial import Trial
+
+# Numbers of six digits and more compress badly.
+BYTES_PER_SAMPLE = 130
+BYTES_PER_TRIAL = 120_000
+
+
+@dataclass(frozen=True)
+class WirePlan:
+    """What a generation will make; a :class:`surgbench.generators.resumable.Job`.
+
+    Attributes:
+        preset: Effective preset.
+    """
+
+    preset: WireChaser
+
+    @cached_property
+    def samples(self) -> dict[str, int]:
+        """Trial to its number of samples, in order."""
+        digits = max(3, len(str(self.preset.trials - 1)))
+        ids = [f"{index:0{digits}d}" for index in range(self.preset.trials)]
+        return {trial_id: draw_samples(self.preset, trial_id) for trial_id in ids}
+
+    @property
+    def name(self) -> str:
+        """The dataset's."""
+        name: str = self.preset.name
+        return name
+
+    @property
+    def frames(self) -> int:
+        """Samples over all trials."""
+        return sum(self.samples.values())
+
+    @property
+    def counts(self) -> str:
+        """How much there will be, a few words."""
+        trials = f"{len(self.samples)} {'trial' if len(self.samples) == 1 else 'trials'}"
+        return f"{trials}, {self.frames} samples"
+
+    @property
+    def marker(self) -> dict[str, Any]:
+        """Effective configuration."""
+        return {"format": FORMAT, "preset": self.preset.model_dump(mode="json")}
+
+    @property
+    def paths(self) -> list[str]:
+        """Every file but the manifest."""
+        return [file for trial_id in self.samples for file in _files(trial_id)]
+
+    @property
+    def disk_bytes(self) -> int:
+        """Disk that the whole dataset takes, an upper estimate."""
+        size = self.frames * BYTES_PER_SAMPLE + len(self.samples) * BYTES_PER_TRIAL
+        return int(blocks(size) + blocks(len(self.paths) * MANIFEST_BYTES_PER_FILE))
+
+    def write(self, out: Path, jobs: int, progress: Callable[[float], None]) -> ViewpointManifest:
+        """Write everything but the manifest; what is there whole stays."""
+        tasks = list(self.samples)
+        if jobs <= 1 and ctrl_c_raises():
+            worker = _Worker(self.preset, out)
+            for trial_id in tasks:
+                progress(worker.write(trial_id))
+        else:
+            in_workers(tasks, _write_trial, min(jobs, len(tasks)), _start_worker, (self.preset, out), progress)
+        done = [_finished(out, trial_id) for trial_id in tasks]
+        assert all(done)
+        entries = [entry for one in done if one is not None for entry in (one[0],)]
+        files = {file: entry for one in done if one is not None for file, entry in one[1].items()}
+        return ViewpointManifest(
+            name=self.preset.name,
+            created_by=f"surgbench {__version__}",
+            origin="generated",
+            seed=self.preset.seed,
+            configuration=configuration(self),
+            trials=tuple(entries),
+            files=files,
+        )
+
+
+class _Worker:
+    """Makes trials.
+
+    Args:
+        preset: Effective preset.
+        out: The dataset's folder.
+        stop: Once true, no further wire is looked for.
+    """
+
+    def __init__(self, preset: WireChaser, out: Path, stop: ctypes.c_bool | None = None) -> None:
+        self._preset, self._out, self._stop = preset, out, stop
+
+    def write(self, trial_id: str) -> int:
+        """Write a trial's files, if they are not there; returns its number of samples."""
+        found = _finished(self._out, trial_id)
+        if found is None:
+            try:
+                trial = make_trial(self._preset, trial_id, lambda: self._stop is None or not self._stop.value)
+            except StoppedError:
+                return 0
+            files = encode_trial(trial)
+            for file, data in files.items():
+                write_atomic(self._out / file, data)
+            entry = describe_trial(trial, self._preset.level)
+            listed = {file: file_entry(data).model_dump(mode="json") for file, data in files.items()}
+            # Last: it says that the others are there.
+            scratch = json.dumps({"trial": entry.model_dump(mode="json"), "files": listed})
+            write_atomic(self._out / SCRATCH_NAME / f"{trial_id}.json", scratch.encode())
+            return entry.samples
+        return found[0].samples
+
+
+def encode_trial(trial: Trial) -> dict[str, bytes]:
+    """A trial's files, by their place in the dataset."""
+    files = {
+        observations_path(trial.id): tables.encode_table(
+            {tables.TIMESTAMP: trial.timestamps_s, **pose_columns(trial.T_world_feature)}
+        )
+    }
+    truth = trial.truth
+    if truth is not None:
+        contact = {CONTACT: truth.contact.astype(np.float64)}
+        files[feature_path(trial.id)] = tables.encode_table({**pose_columns(truth.T_world_feature), **contact})
+        wire = truth.wire
+        scene = SceneTruth(
+            T_world_base=_numbers(truth.T_world_base),
+            wire=None
+            if wire is None
+            else WireEntry(
+                points_m=_points(wire.points_m),
+                radius_m=wire.radius_m,
+                ring_radius_m=wire.ring_radius_m,
+                tube_radius_m=wire.tube_radius_m,
+            ),
+        )
+        files[scene_path(trial.id)] = canonical_json(scene.model_dump(mode="json")).encode()
+    return files
+
+
+def describe_trial(trial: Trial, level: str) -> TrialEntry:
+    """A trial's part of the manifest."""
+    content = {
+        "id": trial.id,
+        "samples": len(trial.timestamps_s),
+        "dt_s": trial.dt_s,
+        "level": level,
+        "truth": trial.truth is not None,
+        "T_world_base": _numbers(trial.T_world_base),
+        "touches": TouchEntry(world_m=_points(trial.touches.world_m), base_m=_points(trial.touches.base_m)),
+        "zone_m": _points(trial.zone_m),
+        "start": _numbers(trial.start),
+        "distance_m": trial.distance_m,
+        "floor_m": trial.floor_m,
+        "proximity_m": trial.proximity_m,
+        "preferred_side": trial.preferred_side,
+    }
+    return TrialEntry.model_validate(content)
+
+
+def _files(trial_id: str) -> list[str]:
+    return [observations_path(trial_id), feature_path(trial_id), scene_path(trial_id)]
+
+
+def _finished(out: Path, trial_id: str) -> tuple[TrialEntry, dict[str, FileEntry]] | None:
+    """What the manifest will say of a trial and its files; ``None`` while they are not all there and whole."""
+    try:
+        content = json.loads((out / SCRATCH_NAME / f"{trial_id}.json").read_bytes())
+        entry = TrialEntry.model_validate(content["trial"])
+        files = {file: FileEntry.model_validate(content["files"][file]) for file in trial_files(entry)}
+        whole = all(difference(out / file, (out / file).read_bytes(), listed) is None for file, listed in files.items())
+    except (OSError, ValueError, KeyError):
+        return None
+    return (entry, files) if whole else None
+
+
+def _numbers(values: FloatArray) -> tuple[float, ...]:
+    return tuple(float(value) for value in np.ravel(values))
+
+
+def _points(values: FloatArray) -> tuple[tuple[float, float, float], ...]:
+    return tuple((float(x), float(y), float(z)) for x, y, z in values)
+
+
+_worker: _Worker | None = None
+
+
+def _start_worker(preset: WireChaser, out: Path, stop: ctypes.c_bool) -> None:
+    global _worker
+    end_with_parent()
+    _worker = _Worker(preset, out, stop)
+
+
+def _write_trial(trial_id: str) -> int:
+    assert _worker is not None
+    return _worker.write(trial_id)
