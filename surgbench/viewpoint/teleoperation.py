@@ -49,9 +49,9 @@ class TeleoperationSettings(BaseModel):
 class Teleoperation:
     """The tool's pose from the master's, as seen in the camera's picture.
 
-    Poses are ``(4, 4)`` rigid transforms, metres: ``T_display_master`` of the master's grip before the console's display,
-    ``T_world_camera`` and ``T_world_tool``. The axes of display and camera mean the same: where the camera's are
-    OpenCV's (x right, y down, z forward), so are the display's. A picture that is shown turned needs a camera pose
+    Poses are ``(4, 4)`` rigid transforms, metres: ``T_display_master`` of the master's grip before the console's
+    display, ``T_world_camera`` and ``T_world_tool``. The axes of display and camera mean the same: where the camera's
+    are OpenCV's (x right, y down, z forward), so are the display's. A picture that is shown turned needs a camera pose
     that is turned with it.
 
     With the view ``V``, a mean pose of the camera that is frozen (below), the tool's orientation and its step are
