@@ -75,7 +75,7 @@ def through_lens(camera: Camera, line: FloatArray) -> Picture:
         )
     a, b, c = line
     away = a * (camera.fx * x + camera.cx) + b * (camera.fy * y + camera.cy) - c
-    return np.rint(250 * np.exp(-((away / 2.5) ** 2))).astype(np.uint8)
+    return np.asarray(np.rint(250 * np.exp(-((away / 2.5) ** 2))), dtype=np.uint8)
 
 
 def line_errors(picture: Picture, line: FloatArray) -> FloatArray:

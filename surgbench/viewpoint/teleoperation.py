@@ -69,6 +69,7 @@ class Teleoperation:
     - The tool's orientation changes at once, in the world by ``R_world_V' R_world_V^T``; seen from the view it stays as
       it was. A camera that turned by 5 degrees within those 10 mm turns the tool by 5 degrees about its own origin with
       no movement of the hand. This is what the article's match of orientations asks for, and what the code does.
+    - A camera that only turns in its place is never taken anew, here as in the code.
 
     While the clutch is pressed the tool rests and the view is frozen. In the step of the release the view is taken anew
     if the camera is far enough, then ``R_align`` is: the tool does not move, and later follows the master from there.

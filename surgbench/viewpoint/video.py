@@ -44,24 +44,23 @@ class ConsoleSettings(BaseModel):
     separation_px: int = 0
 
 
-def sharpen(picture: Picture, alpha: float = 1.0, kernel_px: int = KERNEL_PX, sigma_px: float = SIGMA_PX) -> Picture:
+def sharpen(picture: Picture, alpha: float = 1.0) -> Picture:
     """Sharpen by what a blur takes away: ``S = (alpha + 1) I - alpha G``.
 
-    ``G`` is ``I`` blurred by a Gaussian, mirrored at the border, and kept in floating point here; the code rounds it
-    first, so that its result may be alpha / 2 + 1 / 2 grey levels off.
+    ``G`` is ``I`` blurred by a Gaussian of standard deviation ``SIGMA_PX`` in a window of ``KERNEL_PX`` (both the
+    code's), mirrored at the border, and kept in floating point here; the code rounds it first, so that its result may
+    be alpha / 2 + 1 / 2 grey levels off.
 
     Args:
         picture: ``(height, width[, 3])``.
         alpha: How much; 0 gives the picture back.
-        kernel_px: Odd width of the kernel.
-        sigma_px: The Gaussian's standard deviation.
 
     Returns:
         Same shape, rounded and clipped to 0..255.
     """
     check_picture(picture)
     original = picture.astype(np.float32)
-    blurred = cv2.GaussianBlur(original, (kernel_px, kernel_px), sigma_px)
+    blurred = cv2.GaussianBlur(original, (KERNEL_PX, KERNEL_PX), SIGMA_PX)
     sharp = cv2.addWeighted(original, alpha + 1.0, blurred, -alpha, 0.0)
     return np.asarray(np.rint(sharp).clip(0, 255), dtype=np.uint8)
 
@@ -162,7 +161,8 @@ class ConsoleView:
         Raises:
             SurgbenchError: A picture is of the wrong size, type or number of channels.
         """
-        height, width = np.shape(endoscope.left)[:2]
+        check_picture(endoscope.left)
+        height, width = endoscope.left.shape[:2]
         check_size(endoscope.right, width, height, "endoscope's right picture")
         clear: list[Picture] = []
         for lens, picture, eye in zip(self._lenses, auxiliary, ("left", "right"), strict=True):
