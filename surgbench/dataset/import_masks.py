@@ -33,6 +33,7 @@ from surgbench.dataset.storage import describe_files, storage_error
 from surgbench.errors import ConfigError, DatasetError
 from surgbench.geometry import FloatArray
 from surgbench.instrument import load_instrument, save_instrument
+from surgbench.undistortion import COEFFICIENTS, Undistortion, is_distorted
 
 CAMERA_NAME = "camera"
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
@@ -162,7 +163,7 @@ def read_recording(source: Path, *, single_images: bool = False) -> Recording:
                 "unrelated images are imported with --single-images"
             )
     camera = read_camera(source / "camera.json")
-    if len(camera.distortion) not in (0, 4, 5, 8, 12, 14):
+    if len(camera.distortion) not in COEFFICIENTS:
         raise DatasetError(
             f"{source / 'camera.json'}: 'distortion' must have 4, 5, 8, 12 or 14 coefficients (OpenCV's order)"
         )
@@ -189,11 +190,6 @@ def read_recording(source: Path, *, single_images: bool = False) -> Recording:
             raise DatasetError(f"{source / 'tips.csv'}: frame {frame}: a tip lies outside the image of {size} pixels")
         tips = points
     return Recording(numbers, [masks[number] for number in numbers], images, camera, joints, tips)
-
-
-def is_distorted(camera: Camera) -> bool:
-    """Whether pictures of this camera must be undistorted before projection by K holds."""
-    return any(coefficient != 0.0 for coefficient in camera.distortion)
 
 
 def binarise(picture: NDArray[Any]) -> Mask:
@@ -238,10 +234,10 @@ def _write_sequence(
     """Write a sequence's pictures and table; returns their paths below ``root``."""
     (arm,) = entry.arms
     camera = recording.camera
-    maps = _undistortion(camera) if is_distorted(camera) else None
+    lens = Undistortion(camera)
     columns: dict[str, FloatArray] = {tables.TIMESTAMP: np.arange(len(part), dtype=np.float64) * entry.dt_s}
     if recording.tips is not None:
-        tips = _undistort_points(recording.tips[part], camera) if maps else recording.tips[part]
+        tips = _undistort_points(recording.tips[part], camera) if is_distorted(camera) else recording.tips[part]
         columns |= dict(zip(tables.arm_columns(arm, tables.KEYPOINT_COLUMNS), tips.reshape(-1, 4).T, strict=True))
     if recording.joints is not None:
         columns |= dict(zip(tables.arm_columns(arm, tables.READING_COLUMNS), recording.joints[part].T, strict=True))
@@ -249,13 +245,10 @@ def _write_sequence(
     paths = _write(root, contents)
     for frame, index in enumerate(part):
         mask = binarise(_read_picture(recording.masks[index], camera))
-        if maps:
-            mask = cv2.remap(mask.astype(np.uint8), *maps, cv2.INTER_NEAREST) > 0
+        mask = lens(mask.astype(np.uint8), cv2.INTER_NEAREST) > 0
         contents = {observed_path(entry.id, arm, frame): encode_mask(mask)}
         if recording.images is not None:
-            image = _as_rgb(_read_picture(recording.images[index], camera))
-            if maps:
-                image = np.asarray(cv2.remap(image, *maps, cv2.INTER_LINEAR), np.uint8)
+            image = lens(_as_rgb(_read_picture(recording.images[index], camera)))
             contents[observed_path(entry.id, IMAGE_KIND, frame)] = encode_image(image)
         paths += _write(root, contents)
         progress(1)
@@ -291,14 +284,6 @@ def _as_rgb(picture: NDArray[Any]) -> NDArray[np.uint8]:
     if picture.ndim == 2:
         picture = np.repeat(picture[..., None], 3, axis=2)
     return np.ascontiguousarray(picture[..., 2::-1], dtype=np.uint8)
-
-
-def _undistortion(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
-    size = (camera.width, camera.height)
-    first, second = cv2.initUndistortRectifyMap(
-        camera.matrix, np.array(camera.distortion), np.eye(3), camera.matrix, size, cv2.CV_32FC1
-    )
-    return np.asarray(first), np.asarray(second)
 
 
 def _undistort_points(points: FloatArray, camera: Camera) -> FloatArray:

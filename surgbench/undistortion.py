@@ -1,0 +1,82 @@
+"""Pictures as the pinhole camera without its lens would have taken them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from surgbench.camera import Camera
+from surgbench.errors import ConfigError, SurgbenchError
+
+# OpenCV's models: (k1, k2, p1, p2[, k3[, k4, k5, k6[, s1..s4[, tau_x, tau_y]]]]).
+COEFFICIENTS = (0, 4, 5, 8, 12, 14)
+
+
+def is_distorted(camera: Camera) -> bool:
+    """Whether pictures of this camera must be undistorted before projection by K holds."""
+    return any(coefficient != 0.0 for coefficient in camera.distortion)
+
+
+class Undistortion:
+    """Removes the radial and tangential distortion of one camera; its maps are made once.
+
+    The undistorted picture has the camera's size and intrinsics: a point is where :meth:`Camera.project` puts it.
+    """
+
+    def __init__(self, camera: Camera) -> None:
+        """Make the maps.
+
+        Raises:
+            ConfigError: The number of distortion coefficients is none of OpenCV's.
+        """
+        if len(camera.distortion) not in COEFFICIENTS:
+            raise ConfigError(
+                f"camera has {len(camera.distortion)} distortion coefficients "
+                "('distortion' must have 4, 5, 8, 12 or 14, OpenCV's order)"
+            )
+        self.camera = camera
+        self._maps = _maps(camera) if is_distorted(camera) else None
+
+    def __call__(self, picture: NDArray[Any], interpolation: int = cv2.INTER_LINEAR) -> NDArray[Any]:
+        """Undistort a picture.
+
+        Args:
+            picture: ``(height, width)`` or ``(height, width, channels)``, a type that OpenCV interpolates.
+            interpolation: OpenCV's; ``cv2.INTER_NEAREST`` for masks.
+
+        Returns:
+            Same shape and type; black where the lens did not see. A camera without distortion gives the picture itself.
+
+        Raises:
+            SurgbenchError: The picture is not of the camera's size.
+        """
+        check_size(picture, self.camera.width, self.camera.height, "picture to undistort")
+        if self._maps is None:
+            return picture
+        return np.asarray(cv2.remap(picture, *self._maps, interpolation))
+
+
+def check_size(picture: NDArray[Any], width: int, height: int, what: str) -> None:
+    """Refuse a picture of another size.
+
+    Raises:
+        SurgbenchError: The picture is not ``width`` by ``height`` pixels.
+    """
+    if picture.ndim not in (2, 3) or picture.shape[:2] != (height, width):
+        shape = "x".join(str(length) for length in picture.shape[1::-1] + picture.shape[2:])
+        raise SurgbenchError(f"{what}: is {shape or 'no picture'} (must be {width}x{height} pixels)")
+
+
+def _maps(camera: Camera) -> tuple[NDArray[Any], NDArray[Any]]:
+    first, second = cv2.initUndistortRectifyMap(
+        camera.matrix,
+        np.array(camera.distortion),
+        np.eye(3),
+        camera.matrix,
+        (camera.width, camera.height),
+        cv2.CV_32FC1,
+    )
+    return np.asarray(first), np.asarray(second)
