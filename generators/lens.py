@@ -1,4 +1,4 @@
-"""Cameras whose lens distorts: what they see of a pinhole camera's mask, and where they see points."""
+"""Cameras whose lens distorts: what they see of a pinhole camera's mask."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import numpy as np
 
 from surgbench.camera import Camera
 from surgbench.dataset.masks import Mask
-from surgbench.geometry import FloatArray
 
 
 class Lens:
@@ -43,17 +42,3 @@ class Lens:
             return mask
         seen: Mask = mask[self._rows, self._columns]
         return seen
-
-
-def project(camera: Camera, points_cam: FloatArray) -> FloatArray:
-    """Where a camera sees points ``(..., 3)``, its distortion included; ``(..., 2)`` pixels."""
-    straight = camera.project(points_cam)
-    if not any(camera.distortion):
-        return straight
-    rays = np.concatenate(
-        [(straight - [camera.cx, camera.cy]) / [camera.fx, camera.fy], np.ones((*straight.shape[:-1], 1))], axis=-1
-    )
-    none = np.zeros(3)
-    bent, _ = cv2.projectPoints(rays.reshape(-1, 1, 3), none, none, camera.matrix, np.array(camera.distortion))
-    pixels: FloatArray = np.asarray(bent, dtype=np.float64).reshape(straight.shape)
-    return pixels

@@ -8,7 +8,6 @@ import numpy as np
 
 from surgbench.arm import Manipulator
 from surgbench.camera import Camera
-from surgbench.generators.lens import project
 from surgbench.generators.presets import Keypoints, Readings
 from surgbench.generators.sections import Kinematics
 from surgbench.generators.trajectories import ornstein_uhlenbeck
@@ -56,7 +55,7 @@ def observe_keypoints(
         ``(frames, 2, 2)`` pixels (u, v), the two tips in random order; NaN where one dropped out or is outside the
         image.
     """
-    tips = project(camera, instrument.tips_cam(states))
+    tips = camera.see(instrument.tips_cam(states))
     seen: FloatArray = tips + settings.noise_px * rng.standard_normal(tips.shape)
     lost = ~camera.contains(seen) | (rng.random(seen.shape[:2]) < settings.dropout)
     seen[lost] = np.nan

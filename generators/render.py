@@ -17,15 +17,11 @@ from numpy.typing import NDArray
 
 from surgbench.camera import NEAR_M, Camera
 from surgbench.dataset.masks import Mask
-from surgbench.depth_scene import add_part, depth_view
-from surgbench.errors import SurgbenchError
+from surgbench.depth_scene import VARIANT, add_part, depth_view, load_mitsuba
 from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument
 from surgbench.state import split_arms
 
-# The llvm variants need an LLVM of 17 or later (older ones kill the process) and are no faster on these scenes
-# per core; this one always works and its masks are the same.
-VARIANT = "scalar_rgb"
 BOX_MARGIN_PX = 2
 
 
@@ -44,7 +40,7 @@ class MaskRenderer:
     def __init__(self, instruments: Sequence[Instrument], camera: Camera, threads: int | None = None) -> None:
         self.camera = camera
         self.instruments = tuple(instruments)
-        self._mi = _load_mitsuba()
+        self._mi = load_mitsuba()
         if threads is not None:
             import drjit
 
@@ -153,17 +149,3 @@ def _edges(faces: NDArray[np.int32]) -> NDArray[np.int32]:
     """``(E, 2)`` edges of a mesh, each once."""
     every = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     return np.unique(every, axis=0)
-
-
-def _load_mitsuba() -> Any:
-    try:
-        import mitsuba
-
-        mitsuba.set_variant(VARIANT)
-    except (ImportError, NameError) as error:
-        # Without libatomic1 the import fails with a NameError about its extension module.
-        raise SurgbenchError(
-            f"Mitsuba cannot be loaded ({' '.join(str(error).split())}); "
-            "on Debian and Ubuntu: apt-get install libatomic1"
-        ) from None
-    return mitsuba

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+from functools import cached_property
 from pathlib import Path
 from typing import Annotated
 
+import cv2
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -15,6 +17,8 @@ from surgbench.geometry import FloatArray
 
 # Surfaces nearer to the camera plane than this are not seen.
 NEAR_M = 1e-3
+# A lens is looked at to this far from its axis, as a tangent, in this many steps.
+_WIDEST, _STEPS = 20.0, 20000
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -56,6 +60,46 @@ class Camera(BaseModel):
         u = self.fx * points[..., 0] / z + self.cx
         v = self.fy * points[..., 1] / z + self.cy
         return np.stack([u, v], axis=-1)
+
+    @cached_property
+    def widest(self) -> float:
+        """Tangent of the angle to the axis up to which the lens sees; beyond, its model folds the picture over.
+
+        Where a point is seen must move outwards when the point does: the radial part of OpenCV's model grows. Infinite
+        without distortion.
+        """
+        if not any(self.distortion):
+            return float("inf")
+        k1, k2, _, _, k3, k4, k5, k6 = (*self.distortion, *(0.0,) * 8)[:8]
+        tangent = np.linspace(0.0, _WIDEST, _STEPS + 1)
+        square = tangent**2
+        numerator = 1.0 + square * (k1 + square * (k2 + square * k3))
+        denominator = 1.0 + square * (k4 + square * (k5 + square * k6))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            grows = np.diff(tangent * numerator / denominator) > 0
+        return float(tangent[-1] if grows.all() else tangent[int(np.argmin(grows))])
+
+    def see(self, points_cam: FloatArray) -> FloatArray:
+        """Where the camera sees points of its frame, its lens's distortion included (OpenCV's model).
+
+        Args:
+            points_cam: ``(..., 3)`` metres.
+
+        Returns:
+            ``(..., 2)`` pixels (u, v), inside the image or not; NaN for points at or behind the camera plane, and for
+            those beyond :attr:`widest`.
+        """
+        straight = self.project(points_cam)
+        if not any(self.distortion):
+            return straight
+        rays = (straight - [self.cx, self.cy]) / [self.fx, self.fy]
+        rays[np.hypot(rays[..., 0], rays[..., 1]) > self.widest] = np.nan
+        rays = np.concatenate([rays, np.ones((*rays.shape[:-1], 1))], axis=-1)
+        if rays.size == 0:
+            return straight
+        none = np.zeros(3)
+        bent, _ = cv2.projectPoints(rays.reshape(-1, 1, 3), none, none, self.matrix, np.array(self.distortion))
+        return np.asarray(bent, dtype=np.float64).reshape(straight.shape)
 
     def contains(self, pixels: FloatArray, margin_px: float = 0.0) -> np.ndarray:
         """Which pixels (``(..., 2)``) lie inside the image, at least ``margin_px`` from its border."""

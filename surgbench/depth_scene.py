@@ -7,9 +7,32 @@ from typing import Any
 import numpy as np
 
 from surgbench.camera import NEAR_M, Camera
+from surgbench.errors import SurgbenchError
 from surgbench.instrument.model import LinkMesh
 
 FAR_M = 10.0
+# The llvm variants need an LLVM of 17 or later (older ones kill the process) and are no faster on these scenes
+# per core; this one always works and its masks are the same.
+VARIANT = "scalar_rgb"
+
+
+def load_mitsuba() -> Any:
+    """Mitsuba, with :data:`VARIANT` set.
+
+    Raises:
+        SurgbenchError: It cannot be loaded; one line that says what it lacks.
+    """
+    try:
+        import mitsuba
+
+        mitsuba.set_variant(VARIANT)
+    except (ImportError, NameError) as error:
+        # Without libatomic1 the import fails with a NameError about its extension module.
+        raise SurgbenchError(
+            f"Mitsuba cannot be loaded ({' '.join(str(error).split())}); "
+            "on Debian and Ubuntu: apt-get install libatomic1"
+        ) from None
+    return mitsuba
 
 
 def depth_view(mi: Any, camera: Camera) -> dict[str, Any]:

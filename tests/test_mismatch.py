@@ -13,7 +13,7 @@ from surgbench.camera import Camera
 from surgbench.dataset import Dataset
 from surgbench.dataset.validate import validate
 from surgbench.generators.generate import generate, plan_dataset
-from surgbench.generators.lens import Lens, project
+from surgbench.generators.lens import Lens
 from surgbench.generators.mismatch import NO_MISMATCH, real_camera, real_instrument
 from surgbench.generators.presets import Preset, load_preset
 from surgbench.generators.sections import Mismatch
@@ -53,7 +53,7 @@ def test_a_lens_moves_masks_and_points_alike(k1: float) -> None:
         seen = lens.see(normal[0] * x + normal[1] * y + normal[2] > 0)
         assert seen.shape == (camera.height, camera.width)
         rays = np.column_stack([rng.uniform(-0.5, 0.7, 4000), rng.uniform(-0.4, 0.4, 4000), np.ones(4000)])
-        pixels = project(camera, rays)
+        pixels = camera.see(rays)
         inside = camera.contains(pixels)
         # Half a pixel here, half a pixel there, and some magnification.
         sure = np.abs(rays @ normal) > 1.3 * np.linalg.norm(normal[:2]) / camera.fx
@@ -74,8 +74,8 @@ def test_projection_is_opencvs_formula() -> None:
     bent_y = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
     expected = [camera.fx * bent_x + camera.cx, camera.fy * bent_y + camera.cy]
     points = np.array([[[0.3, -0.2, 1.0], [0.03, -0.02, 0.1]]])
-    np.testing.assert_allclose(project(camera, points)[0], [expected, expected], atol=1e-9)
-    np.testing.assert_array_equal(project(SMALL, points), SMALL.project(points))
+    np.testing.assert_allclose(camera.see(points)[0], [expected, expected], atol=1e-9)
+    np.testing.assert_array_equal(SMALL.see(points), SMALL.project(points))
 
 
 def test_the_presets_lens_is_off_by_one_or_two_pixels_at_the_corners() -> None:
@@ -84,7 +84,7 @@ def test_the_presets_lens_is_off_by_one_or_two_pixels_at_the_corners() -> None:
     straight = camera.model_copy(update={"distortion": ()})
     corners = np.array([[0, 0], [699, 0], [0, 492], [699, 492]])
     rays = np.column_stack([(corners - [camera.cx, camera.cy]) / [camera.fx, camera.fy], np.ones(4)])
-    moved_px = np.linalg.norm(project(camera, rays) - straight.project(rays), axis=1)
+    moved_px = np.linalg.norm(camera.see(rays) - straight.project(rays), axis=1)
     assert ((moved_px > 1) & (moved_px < 2.5)).all()
 
 
@@ -166,7 +166,7 @@ def test_a_dataset_declares_the_nominal_and_shows_the_real(tmp_path: Path, instr
         assert states is not None
         assert readings is not None
         np.testing.assert_allclose(readings - states[:, 6:], np.tile(mismatch.joint_offset_rad, (4, 1)), atol=1e-12)
-        tips = project(camera, real.tips_cam(states))
+        tips = camera.see(real.tips_cam(states))
         seen = sequence.keypoints(arm)
         np.testing.assert_allclose(np.sort(seen, axis=1), np.sort(tips, axis=1), atol=1e-9)
         for frame in range(4):
