@@ -7,7 +7,7 @@ from typing import Any
 
 from surgbench.config import locate, parse_model, read_yaml
 from surgbench.errors import ConfigError
-from surgbench.generators.generate import plan_dataset
+from surgbench.generators.generate import Part, plan_dataset
 from surgbench.generators.presets import load_preset
 from surgbench.generators.resumable import Job
 from surgbench.generators.wire_chaser.job import WirePlan
@@ -21,6 +21,7 @@ def plan_preset(
     frames: int | None = None,
     seed: int | None = None,
     corruption: str | None = None,
+    part: tuple[tuple[str, ...], int] | None = None,
 ) -> Job:
     """Load a preset, put the given options over it, and work out what it makes.
 
@@ -30,6 +31,8 @@ def plan_preset(
         frames: Frames or samples of each, instead of the preset's.
         seed: Instead of the preset's.
         corruption: Level of the masks' corruption; of the instrument task.
+        part: Ids of sequences, and how many frames of each, where no more is needed. Of the viewpoint task all trials
+            up to the last of them are made, whole: they take no time.
 
     Raises:
         NotFoundError: No built-in preset has this name.
@@ -37,12 +40,13 @@ def plan_preset(
     """
     path = locate("presets", "preset", name_or_path)
     if read_yaml(path, "preset").get("task", "instrument") == "instrument":
-        plan: Job = plan_dataset(
-            load_preset(name_or_path, pairs=sequences, frames=frames, seed=seed, corruption=corruption)
-        )
+        preset = load_preset(name_or_path, pairs=sequences, frames=frames, seed=seed, corruption=corruption)
+        plan: Job = plan_dataset(preset, None if part is None else Part(*part))
         return plan
     if corruption is not None:
         raise ConfigError(f"--corruption: '{name_or_path}' is of the viewpoint task, which has no masks")
+    if part is not None:
+        sequences = 1 + max(int(name) for name in part[0])
     wire_plan: Job = WirePlan(load_wire_chaser(path, trials=sequences, samples=frames, seed=seed))
     return wire_plan
 

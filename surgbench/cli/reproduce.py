@@ -89,19 +89,19 @@ class _Watcher:
 
 def _make_dataset(request: DatasetRequest, part: PartRequest | None, out: Path, jobs: int) -> None:
     from surgbench.errors import DatasetError
-    from surgbench.generators.generate import Part, generate, plan_dataset
-    from surgbench.generators.presets import load_preset
+    from surgbench.generators.dispatch import plan_preset
+    from surgbench.generators.resumable import generate
 
-    preset = load_preset(
+    plan = plan_preset(
         request.preset,
-        pairs=request.sequences,
+        sequences=request.sequences,
         frames=request.frames,
         seed=request.seed,
         corruption=request.corruption,
+        part=None if part is None else (part.sequences, part.frames),
     )
-    plan = plan_dataset(preset, None if part is None else Part(part.sequences, part.frames))
     try:
-        with progress("frames rendered", plan.frames) as advance:
+        with progress("frames made", plan.frames) as advance:
             generate(plan, out, jobs=min(jobs, max(1, plan.frames // 20)), progress=advance)
     except DatasetError as error:
         raise DatasetError(str(error).replace("--out", "--data")) from None
