@@ -59,7 +59,7 @@ class WireSettings(Section):
     wander_m: NotNegative = 0.006
     bend_radius_m: Positive = 0.007
     apart_m: Positive = 0.016
-    extent_m: tuple[Range, Range, Range] = ((0.060, 0.093), (0.026, 0.042), (0.022, 0.040))
+    extent_m: tuple[Range, Range, Range] = ((0.060, 0.093), (0.026, 0.042), (0.024, 0.040))
     radius_m: Positive = 0.001
     ring_radius_m: Positive = 0.004
     tube_radius_m: Positive = 0.0008
@@ -117,7 +117,7 @@ class Hand(Section):
     speed_m_s: Positive = 0.008
     movement_s: tuple[Positive, Positive] = (0.6, 0.12)
     movement_range_s: Range = (0.4, 0.8)
-    peak_spread: NotNegative = 0.35
+    peak_spread: NotNegative = 0.5
     rest_share: tuple[Fraction, Fraction] = (0.3, 0.5)
     clutch_every_s: Positive = 12.0
     clutch_s: Range = (0.5, 2.0)
@@ -200,7 +200,7 @@ class Scene(Section):
     reported_range_rad: Range = (math.radians(6), math.radians(14))
     reported_m: Vector = (0.0, -0.145, 0.265)
     reported_spread_m: NotNegative = 0.02
-    touch_m: NotNegative = 0.002
+    touch_m: NotNegative = 0.0022
     zone_yaw_rad: NotNegative = math.radians(8)
     zone_tilt_rad: NotNegative = math.radians(1.5)
     zone_m: NotNegative = 0.0003

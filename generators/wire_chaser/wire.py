@@ -12,6 +12,7 @@ from scipy.linalg import solveh_banded
 
 from surgbench.generators.wire_chaser.presets import WireSettings
 from surgbench.geometry import FloatArray
+from surgbench.viewpoint.motion import extents_m
 
 # Between the points of a wire's polyline.
 STEP_M = 0.0005
@@ -105,7 +106,7 @@ def _first_points(count: int, settings: WireSettings, rng: np.random.Generator) 
     places = [np.append(middle - reach, low[2]), np.append(middle + reach, high[2]), rng.uniform(low, high)]
     way = np.linspace(0.0, 1.0, count)
     points = np.stack([np.interp(way, [0.0, top, 1.001], coordinate) for coordinate in np.array(places).T], axis=1)
-    return np.clip(points + settings.wander_m * rng.standard_normal(points.shape), low, high)
+    return np.asarray(np.clip(points + settings.wander_m * rng.standard_normal(points.shape), low, high))
 
 
 def room(settings: WireSettings) -> tuple[FloatArray, FloatArray]:
@@ -133,13 +134,6 @@ def shortcoming(wire: WireShape, settings: WireSettings) -> float:
 
 def _outside(value: float, bounds: tuple[float, float]) -> float:
     return max(bounds[0] - value, value - bounds[1], 0.0)
-
-
-def extents_m(points_m: FloatArray) -> FloatArray:
-    """``(3,)`` how far points ``(n, 3)`` extend along their principal axes, longest first."""
-    centred = points_m - points_m.mean(axis=0)
-    axes = np.linalg.eigh(centred.T @ centred)[1]
-    return np.sort(np.ptp(centred @ axes, axis=0))[::-1]
 
 
 def tool_axes(wire: WireShape, trocar_m: FloatArray) -> FloatArray:
