@@ -39,6 +39,9 @@ class WireSettings(Section):
         base_m: From the box's base, so that the ring can pass.
         control_points: How many.
         length_m: One way.
+        climb: Where the search for a wire begins: it climbs towards the camera arm on this share of its way, drawn
+            between these, and then goes anywhere.
+        wander_m: Standard deviation of the points from there.
         bend_radius_m: Nowhere is it bent more.
         apart_m: Parts of it that do not follow each other are this far apart, so that the ring fits between.
         extent_m: Of the ring's way along its three principal axes, long, middle, short.
@@ -52,16 +55,18 @@ class WireSettings(Section):
     base_m: NotNegative = 0.006
     control_points: tuple[int, int] = (6, 8)
     length_m: Range = (0.135, 0.250)
+    climb: tuple[Fraction, Fraction] = (0.45, 0.85)
+    wander_m: NotNegative = 0.006
     bend_radius_m: Positive = 0.007
     apart_m: Positive = 0.016
-    extent_m: tuple[Range, Range, Range] = ((0.060, 0.093), (0.026, 0.042), (0.022, 0.040))
+    extent_m: tuple[Range, Range, Range] = ((0.060, 0.093), (0.026, 0.042), (0.024, 0.040))
     radius_m: Positive = 0.001
     ring_radius_m: Positive = 0.004
     tube_radius_m: Positive = 0.0008
 
     @model_validator(mode="after")
     def _possible(self) -> WireSettings:
-        _ordered(self, "control_points", "length_m")
+        _ordered(self, "control_points", "length_m", "climb")
         if self.control_points[0] < 4:
             raise ValueError("control_points must be at least 4")
         if self.clearance_m <= 0:
@@ -112,7 +117,7 @@ class Hand(Section):
     speed_m_s: Positive = 0.008
     movement_s: tuple[Positive, Positive] = (0.6, 0.12)
     movement_range_s: Range = (0.4, 0.8)
-    peak_spread: NotNegative = 0.35
+    peak_spread: NotNegative = 0.5
     rest_share: tuple[Fraction, Fraction] = (0.3, 0.5)
     clutch_every_s: Positive = 12.0
     clutch_s: Range = (0.5, 2.0)
@@ -195,7 +200,7 @@ class Scene(Section):
     reported_range_rad: Range = (math.radians(6), math.radians(14))
     reported_m: Vector = (0.0, -0.145, 0.265)
     reported_spread_m: NotNegative = 0.02
-    touch_m: NotNegative = 0.002
+    touch_m: NotNegative = 0.0022
     zone_yaw_rad: NotNegative = math.radians(8)
     zone_tilt_rad: NotNegative = math.radians(1.5)
     zone_m: NotNegative = 0.0003

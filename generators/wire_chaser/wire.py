@@ -12,6 +12,7 @@ from scipy.linalg import solveh_banded
 
 from surgbench.generators.wire_chaser.presets import WireSettings
 from surgbench.geometry import FloatArray
+from surgbench.viewpoint.motion import extents_m
 
 # Between the points of a wire's polyline.
 STEP_M = 0.0005
@@ -73,9 +74,8 @@ def search_wire(
     Returns:
         The wire, or ``None``, and how many were looked at.
     """
-    low, high = room(settings)
     count = int(rng.integers(settings.control_points[0], settings.control_points[1] + 1))
-    points = _first_points(count, low, high, rng)
+    points = _first_points(count, settings, rng)
     step, best = FIRST_STEP_M, np.inf
     for tried in range(tries):
         moved = points if tried == 0 else points + step * rng.standard_normal(points.shape)
@@ -94,18 +94,19 @@ def search_wire(
     return None, tries
 
 
-def _first_points(count: int, low: FloatArray, high: FloatArray, rng: np.random.Generator) -> FloatArray:
+def _first_points(count: int, settings: WireSettings, rng: np.random.Generator) -> FloatArray:
     """``(count, 3)`` control points that climb towards the camera arm, and then go anywhere."""
+    low, high = room(settings)
     azimuth = rng.normal(*HEADING_RAD)
     level = np.array([np.cos(azimuth), np.sin(azimuth)])
     half = (high - low)[:2] / 2
     reach = 0.8 * (half / np.maximum(np.abs(level), 1e-9)).min() * level
     middle = (high + low)[:2] / 2
-    top = rng.uniform(0.45, 0.85)
+    top = rng.uniform(*settings.climb)
     places = [np.append(middle - reach, low[2]), np.append(middle + reach, high[2]), rng.uniform(low, high)]
     way = np.linspace(0.0, 1.0, count)
-    points = np.stack([np.interp(way, [0.0, top, 1.0], coordinate) for coordinate in np.array(places).T], axis=1)
-    return np.clip(points + FIRST_STEP_M * rng.standard_normal(points.shape), low, high)
+    points = np.stack([np.interp(way, [0.0, top, 1.001], coordinate) for coordinate in np.array(places).T], axis=1)
+    return np.asarray(np.clip(points + settings.wander_m * rng.standard_normal(points.shape), low, high))
 
 
 def room(settings: WireSettings) -> tuple[FloatArray, FloatArray]:
@@ -133,13 +134,6 @@ def shortcoming(wire: WireShape, settings: WireSettings) -> float:
 
 def _outside(value: float, bounds: tuple[float, float]) -> float:
     return max(bounds[0] - value, value - bounds[1], 0.0)
-
-
-def extents_m(points_m: FloatArray) -> FloatArray:
-    """``(3,)`` how far points ``(n, 3)`` extend along their principal axes, longest first."""
-    centred = points_m - points_m.mean(axis=0)
-    axes = np.linalg.eigh(centred.T @ centred)[1]
-    return np.sort(np.ptp(centred @ axes, axis=0))[::-1]
 
 
 def tool_axes(wire: WireShape, trocar_m: FloatArray) -> FloatArray:
