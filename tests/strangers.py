@@ -371,3 +371,45 @@ class BreaksDown(Still):
         if not observation.mask.any():
             time.sleep(3600)
         return observation.start
+
+
+class Watching:
+    """A controller of the viewpoint task, as small as can be."""
+
+    name = "watching"
+    task = "viewpoint"
+
+    def reset(self, scene: Any, joints: Any, rng: Any) -> None:
+        self.joints = joints
+
+    def step(self, observation: Any) -> Any:
+        return self.joints
+
+
+class Fainting(Watching):
+    """Raises in the middle of a trial."""
+
+    name = "fainting"
+
+    def step(self, observation: Any) -> Any:
+        if observation.index == 30:
+            raise ValueError("it is all too much")
+        return self.joints
+
+
+class Scribbling(Watching):
+    """Answers with what is no command."""
+
+    name = "scribbling"
+
+    def step(self, observation: Any) -> Any:
+        return np.full(6, np.nan) if observation.index == 20 else self.joints
+
+
+class Dozing(Watching):
+    """Hangs."""
+
+    name = "dozing"
+
+    def step(self, observation: Any) -> Any:
+        time.sleep(60)

@@ -23,11 +23,13 @@ def print_table(definition: Definition, results: Results, console: Console) -> N
         console.print(Text(f"\n{block.heading}", style="bold"))
         # The table's file says which options make a row what it is.
         rows = [
-            {**row, "variant": "not for ranking" if row["floor"] else ""}
+            {**row, "variant": "not for ranking" if row.get("floor") else ""}
             for row in results.rows
             if row["block"] == block.name
         ]
         print_leaderboard(rows, console)
+        if definition.table.task != "instrument":
+            continue
         comparisons = compare(block, results.rows, definition.published)
         if comparisons and definition.published is not None:
             _print_comparisons(comparisons, definition.published.short, console)

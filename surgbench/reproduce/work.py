@@ -55,7 +55,8 @@ def plan_block(table: Table, block: Block, dataset: AnyDataset, quick: bool) -> 
         asked = row.asked(quick)
         if quick:
             runs = min(asked.sequences or table.quick.runs, table.quick.runs)
-            asked = asked.model_copy(update={"sequences": runs})
+            frames = min(asked.frames or table.quick.frames, table.quick.frames)
+            asked = asked.model_copy(update={"sequences": runs, "frames": frames})
         settings = complete(asked, block.protocol, dataset)
         timing: list[Job] = []
         if not quick:

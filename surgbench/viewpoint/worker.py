@@ -67,7 +67,8 @@ def serve(connection: Connection) -> None:
         return
     simulation: Simulation | None = None
     try:
-        warm_up(setup)
+        with contextlib.suppress(Exception):  # what is wrong with it will show again
+            warm_up(setup)
         simulation = Simulation(_controller(setup), setup.trial, setup.scene, generator(**setup.axes), setup.steps)
         course = simulation.run(lambda steps: connection.send(("progress", steps)))
         connection.send(("course", course))

@@ -1,0 +1,242 @@
+"""The viewpoint task as a user runs it: records, rows, tables, and what goes wrong."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from commandline import records, surgbench
+
+from surgbench.dataset.open import open_dataset
+from surgbench.report.rows import read_rows
+from surgbench.viewpoint.dataset import ViewpointDataset
+from surgbench.viewpoint.rows import VIEWPOINT_COLUMNS
+from surgbench.viewpoint.scores import NO_GO_TOLERANCE_M, naive_violations
+from surgbench.viewpoint.simulator import make_scene
+
+STRANGERS = Path(__file__).parent / "strangers.py"
+SAMPLES = 260
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two short trials."""
+    folder = tmp_path_factory.mktemp("chaser") / "mini"
+    surgbench("generate", "wire-chaser-mini", "--sequences", 2, "--frames", SAMPLES, "--out", folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def runs(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Our controller and the article's on both."""
+    out = tmp_path_factory.mktemp("runs")
+    surgbench("run", "--dataset", dataset, "--tracker", "gaze", "--tracker", "autocam", "--jobs", 2, "--out", out)
+    return out
+
+
+def test_a_record_holds_the_course_and_its_errors(dataset: Path, runs: Path) -> None:
+    found = records(runs)
+    assert len(found) == 4
+    for record in found:
+        assert (record["status"], record["unit_frames"]) == ("ok", SAMPLES)
+        assert record["spec"]["task"] == "viewpoint"
+        frames, errors = record["frames"], record["errors"]
+        assert {len(values) for values in [*frames.values(), *errors.values()]} == {SAMPLES}
+        assert np.isfinite(np.array(frames["joints"])).all()
+        assert not any(frames["limit_violation"])
+    # The same samples are constrained for both controllers, and they are those of the naive pose.
+    data = open_dataset(dataset)
+    assert isinstance(data, ViewpointDataset)
+    for record in found:
+        trial = data.trial(record["spec"]["unit"])
+        expected = naive_violations(trial, make_scene(trial)).any
+        np.testing.assert_array_equal(np.array(record["frames"]["rules"]) != 0, expected)
+
+
+def test_rows_are_of_subsets_that_make_up_the_whole(runs: Path) -> None:
+    rows = [row for row in read_rows([runs]) if row["row_id"] == "gaze"]
+    by_subset = {row["subset"]: row for row in rows if row["subset"] != "solver"}
+    assert list(by_subset) == ["all", "unconstrained", "constrained"]
+    whole, free, bound = by_subset.values()
+    assert whole["samples"] == 2 * SAMPLES == free["samples"] + bound["samples"]
+    assert whole["constrained_percent"] == pytest.approx(100 * bound["samples"] / whole["samples"])
+    assert set(VIEWPOINT_COLUMNS) <= set(whole)
+    assert whole["no_go_violations"] == whole["limit_violations"] == whole["clipped_commands"] == 0
+    for record in records(runs):
+        depths = np.array(record["frames"]["no_go_depth_m"])
+        assert record["spec"]["row_id"] != "gaze" or (depths < NO_GO_TOLERANCE_M).all()
+
+
+def test_the_same_again_runs_nothing_and_another_run_gives_the_same_course(
+    dataset: Path, runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = {path: path.read_bytes() for path in runs.rglob("*-r*.json")}
+    surgbench("run", "--dataset", dataset, "--tracker", "gaze", "--out", runs)
+    assert "0 runs, 0 frames to track; 2 recorded already" in capsys.readouterr().err
+    assert {path: path.read_bytes() for path in runs.rglob("*-r*.json")} == before
+    surgbench("run", "--dataset", dataset, "--tracker", "gaze", "--frames", 120, "--sequences", 1, "--out", tmp_path)
+    (short,) = records(tmp_path)
+    whole = next(r for r in records(runs) if r["spec"]["row_id"] == "gaze" and r["spec"]["unit"] == "000")
+    assert short["frames"]["setpoint"] == whole["frames"]["setpoint"][:120]
+    assert short["variant"] == "first 120 frames"
+
+
+@pytest.mark.parametrize("form", ["table", "csv", "markdown", "json"])
+def test_reports(runs: Path, form: str, capsys: pytest.CaptureFixture[str]) -> None:
+    surgbench("report", runs, "--format", form)
+    out = capsys.readouterr().out
+    assert "gaze" in out
+    assert "autocam" in out
+    if form == "csv":
+        lines = list(csv.DictReader(out.splitlines()))
+        assert tuple(lines[0]) == VIEWPOINT_COLUMNS
+        assert {line["subset"] for line in lines} >= {"all", "unconstrained", "constrained"}
+    elif form == "json":
+        assert set(json.loads(out)[0]) == set(VIEWPOINT_COLUMNS)
+    else:
+        assert "VVA" in out
+
+
+def test_registration_and_the_missing_face_are_settings(dataset: Path, runs: Path, tmp_path: Path) -> None:
+    """A rigid registration brings the true view nearer to the reported one."""
+    surgbench(
+        *("run", "--dataset", dataset, "--tracker", "gaze", "--registration", "rigid", "--missing-face"),
+        *("--out", tmp_path),
+    )
+    (rigid,) = [row for row in read_rows([tmp_path]) if row["subset"] == "all"]
+    (published,) = [row for row in read_rows([runs]) if row["subset"] == "all" and row["row_id"] == "gaze"]
+    assert rigid["registration"] == "rigid"
+    assert rigid["missing_face"] is True
+    assert "registration rigid" in rigid["variant"]
+    assert rigid["settings_hash"] != published["settings_hash"]
+    assert rigid["pf_true_deg"] < published["pf_true_deg"]
+
+
+@pytest.mark.parametrize(
+    ("name", "status", "message", "steps"),
+    [
+        ("Fainting", "failed", "step 30: ValueError: it is all too much", 30),
+        ("Scribbling", "invalid", "step 20: the controller returned a command with NaN or infinity", 20),
+        ("Dozing", "timeout", "step 0: no answer within 5 s", 0),
+    ],
+)
+def test_a_controller_that_goes_wrong_costs_its_own_row(
+    dataset: Path, tmp_path: Path, name: str, status: str, message: str, steps: int
+) -> None:
+    surgbench(
+        *("run", "--dataset", dataset, "--tracker", f"{STRANGERS}:{name}", "--tracker", f"{STRANGERS}:Watching"),
+        *("--sequences", 1, "--timeout", 5, "--out", tmp_path),
+    )
+    good, bad = sorted(records(tmp_path), key=lambda record: str(record["status"]) != "ok")
+    assert good["status"] == "ok"
+    assert (bad["status"], bad["error"]) == (status, message)
+    assert len(bad["frames"].get("index", [])) == steps
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--tracker", "cmaes"], "tracker 'cmaes' is for the instrument task; this dataset is of the viewpoint task"),
+        (["--tracker", "gaze", "--initialiser", "random"], "'initialiser' is for the instrument task"),
+        (["--tracker", "gaze", "--arms", "dual"], "--device and --arms are for the instrument task"),
+        (["--tracker", "gaez"], "unknown tracker 'gaez'; did you mean 'gaze'?"),
+        (["--tracker", "gaze", "--set", "gaze.patience=1"], "gaze.patience"),
+    ],
+)
+def test_what_does_not_fit_is_told_in_one_line(
+    dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], message: str
+) -> None:
+    surgbench("run", "--dataset", dataset, *arguments, "--out", tmp_path / "runs", expect=2)
+    error = capsys.readouterr().err
+    assert message.split(".")[-1] in error
+    assert len(error.strip().splitlines()) == 1
+
+
+def test_videos_are_of_the_instrument_task(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    surgbench("video", runs, expect=2)
+    assert "of the viewpoint task; only instrument trackers' runs will do" in capsys.readouterr().err
+
+
+TABLE: dict[str, Any] = {
+    "title": "A tiny table",
+    "task": "viewpoint",
+    "published": "banks2025",
+    "quick": {"runs": 1, "frames": 60},
+    "timing": {"runs": 1, "frames": 60},
+    "check": {"runs": 1, "frames": 80},
+    "figure": {"block": "only", "unit": "000", "rows": ["gaze", "watching"]},
+    "blocks": [
+        {
+            "name": "only",
+            "heading": "The only block",
+            "dataset": {"preset": "wire-chaser-mini", "sequences": 2, "frames": 200},
+            "quick_sequences": ["000"],
+            "rows": [
+                {"row_id": "gaze", "label": "Gaze", "tracker": "gaze"},
+                {"row_id": "watching", "label": "Watching", "tracker": f"{STRANGERS}:Watching"},
+            ],
+        }
+    ],
+}
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A reproduced table."""
+    folder = tmp_path_factory.mktemp("reproduce")
+    (folder / "tiny.yaml").write_text(yaml.safe_dump(TABLE), encoding="utf-8")
+    reproduce(folder)
+    return folder
+
+
+def reproduce(folder: Path, *arguments: object, expect: int = 0) -> None:
+    places = ("--out", folder / "results", "--data", folder / "data", "--jobs", 1)
+    surgbench("reproduce", folder / "tiny.yaml", *places, *arguments, expect=expect)
+
+
+def test_a_table_stands_beside_the_published_figures(made: Path) -> None:
+    folder = made / "results" / "tiny"
+    page = (folder / "leaderboard.md").read_text(encoding="utf-8")
+    # The article's lines, as printed.
+    assert "| *Banks et al. 2025* |  | 75463 | 1.71 ± 1.54 | 4.98 ± 5.00 | 0.34 ± 0.21 | 30.39 ± 37.68 |" in page
+    assert "| *Banks et al. 2025* |  | 14720 | 4.38 ± 2.11 | 1.95 ± 5.66 | 0.03 ± 0.05 | 10.10 ± 24.22 |" in page
+    rows = list(csv.DictReader((folder / "leaderboard.csv").read_text().splitlines()))
+    gaze = next(row for row in rows if row["row_id"] == "gaze" and row["subset"] == "all")
+    assert f"| Gaze | `gaze` | 400 | {float(gaze['vva_deg']):.2f} ± {float(gaze['vva_deg_std']):.2f} |" in page
+    lines = list(csv.DictReader((folder / "sequences.csv").read_text().splitlines()))
+    own = [float(line["vva_deg"]) for line in lines if line["row_id"] == "gaze"]
+    assert float(gaze["vva_deg"]) == pytest.approx(np.mean(own))
+
+
+def test_a_table_can_be_checked_and_a_slip_of_the_hand_is_found(
+    made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    reproduce(made, "--check")
+    assert "identical" in capsys.readouterr().out
+    shutil.copy(made / "tiny.yaml", tmp_path)
+    shutil.copytree(made / "results", tmp_path / "results")
+    file = tmp_path / "results" / "tiny" / "sequences.csv"
+    file.write_text(file.read_text().replace("gaze,only,000,0,ok,200,", "gaze,only,000,0,ok,200,1", 1))
+    reproduce(tmp_path, "--check", expect=1)
+    assert "its files do not agree" in capsys.readouterr().out
+
+
+def test_quick_tables_are_short(made: Path) -> None:
+    reproduce(made, "--quick")
+    page = (made / "results" / "tiny-quick" / "leaderboard.md").read_text(encoding="utf-8")
+    assert "not to be quoted" in page
+    assert "| Gaze | `gaze` | 60 |" in page
+
+
+def test_figures_are_drawn_where_matplotlib_is(made: Path) -> None:
+    pytest.importorskip("matplotlib")
+    folder = made / "results" / "tiny"
+    for name in ("figure.png", "paths.png"):
+        assert (folder / name).read_bytes().startswith(b"\x89PNG")
+        assert name in (folder / "leaderboard.md").read_text(encoding="utf-8")
