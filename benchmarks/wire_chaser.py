@@ -68,13 +68,14 @@ def main() -> None:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
 
-        figure = Figure(figsize=(11.0, 5.2), layout="constrained")
+        figure = Figure(figsize=(11.0, 4.6))
         FigureCanvasAgg(figure)
         for number, trial in enumerate(trials[:2]):
             constrained = np.asarray(naive_violations(trial, make_scene(trial)).any)
             axes = draw_trial(figure, trial, constrained, (1, min(len(trials), 2), number + 1))
             if number == 0:
-                figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False)
+                figure.legend(*axes.get_legend_handles_labels(), loc="lower center", ncols=4, frameon=False)
+        figure.subplots_adjust(left=0.0, right=0.96, bottom=0.06, top=1.0, wspace=0.05)
         figure.savefig(arguments.picture, dpi=110, metadata={"Software": None})
 
 

@@ -127,7 +127,7 @@ class Hand(Section):
     wobble_rad: Range = (math.radians(5), math.radians(10))
     wobble_s: Positive = 1.0
     twist_rad: NotNegative = math.radians(5)
-    play: tuple[Positive, NotNegative] = (0.8, 0.15)
+    play: tuple[Positive, NotNegative] = (0.77, 0.15)
     play_s: Positive = 0.4
     resting_pace: Fraction = 0.25
     tremor_m: NotNegative = 50e-6

@@ -70,5 +70,6 @@ def draw_trial(
             axes.plot(*np.stack([start, end], axis=1), color=colour, lw=0.6, alpha=0.7)
     axes.set(xlabel="x [mm]", ylabel="y [mm]", zlabel="z [mm]", title=f"trial {trial.id}")
     axes.set_aspect("equal")
+    axes.locator_params(nbins=5)
     axes.view_init(elev=25, azim=-60)
     return axes
