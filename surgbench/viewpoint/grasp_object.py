@@ -153,14 +153,14 @@ def grasp_object(tags: Tags | None = None, tool: bool = False) -> Subject:
     flat, wide = below / np.cos(CHAMFER_RAD), below / np.sin(CHAMFER_RAD)
     across = np.array([[wide, 0], [0, flat], [-wide, 0], [0, -flat]])
     points = [np.column_stack([across, np.full(4, z)]) for z in (-0.0232, -0.0115)]
-    solids = [_solid(trimesh.convex.convex_hull(np.concatenate(points)), 0.45)]
+    solids = [_solid(trimesh.convex.convex_hull(np.concatenate(points)), WHITE)]
     if tool:
         ring = trimesh.creation.torus(0.0050, 0.0007, major_sections=48, minor_sections=12)
         ring.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0]))
         stem = trimesh.creation.cylinder(0.0010, segment=[[0, 0, -0.0118], [0, 0, -0.0050]], sections=16)
         jaws = trimesh.creation.cylinder(0.0025, segment=[[0, 0, -0.036], [0, 0, -0.023]], sections=16)
         shaft = trimesh.creation.cylinder(0.0042, segment=[[0, 0, -0.090], [0, 0, -0.036]], sections=32)
-        solids += [_solid(ring, 0.75), _solid(stem, 0.6), _solid(jaws, 0.3), _solid(shaft, 0.15)]
+        solids += [_solid(ring, 0.75), _solid(stem, 0.6), _solid(jaws, 0.5), _solid(shaft, 0.15)]
     return Subject(tuple(panels), tuple(solids))
 
 
