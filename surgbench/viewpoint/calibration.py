@@ -18,7 +18,7 @@ from surgbench.errors import SurgbenchError
 from surgbench.geometry import FloatArray, inverse_transform, rigid_transform, rotation_from_vector, rotation_vector
 from surgbench.viewpoint.grasp_object import Checkerboard
 from surgbench.viewpoint.photograph import NOISE, Photographer, Picture
-from surgbench.viewpoint.stereo import StereoCamera
+from surgbench.viewpoint.stereo import Mount, StereoCamera
 
 FEWEST_PAIRS = 3
 # Refined within this many pixels either way of where a corner was found; squares are at least twice as large.
@@ -148,18 +148,18 @@ def calibrate(pairs: Iterable[Pair], board: Checkerboard, like: StereoCamera | N
     stereo = cv2.stereoCalibrate(
         points, lefts, rights, K_left, D_left, K_right, D_right, width_height, None, None, flags=held
     )
-    rms, rotation, place = float(stereo[0]), np.asarray(stereo[5]), np.asarray(stereo[6]).ravel()
+    rms, (rotation, place) = float(stereo[0]), (np.asarray(part, dtype=np.float64) for part in stereo[5:7])
     # OpenCV's transform takes points of the left camera's frame to the right one's.
-    T_left_right = inverse_transform(rigid_transform(rotation, place))
+    T_left_right = inverse_transform(rigid_transform(rotation, place.ravel()))
     x, y, z = T_left_right[:3, 3].tolist()
     a, b, c = rotation_vector(T_left_right[:3, :3]).tolist()
-    made = {
-        "left": _camera(K_left, D_left, width_height),
-        "right": _camera(K_right, D_right, width_height),
-        "rotation_rad": (a, b, c),
-        "translation_m": (x, y, z),
-    }
-    cameras = StereoCamera(**made) if like is None else StereoCamera(**made, mount=like.mount)
+    cameras = StereoCamera(
+        left=_camera(K_left, D_left, width_height),
+        right=_camera(K_right, D_right, width_height),
+        rotation_rad=(a, b, c),
+        translation_m=(x, y, z),
+        mount=Mount() if like is None else like.mount,
+    )
     return Calibration(cameras, left_rms, right_rms, rms, len(seen))
 
 

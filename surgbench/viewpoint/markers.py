@@ -73,12 +73,13 @@ class TagFinder:
         quads, ids, _ = self._detector.detectMarkers(picture)
         if ids is None:
             return None
-        best, longest = None, SHORTEST_PERIMETER_PX
-        for quad, index in zip(quads, np.asarray(ids).ravel().tolist(), strict=True):
+        best: tuple[int, FloatArray] | None = None
+        longest = SHORTEST_PERIMETER_PX
+        for quad, index in zip(quads, np.asarray(ids, dtype=np.intp).ravel(), strict=True):
             corners = np.asarray(quad, dtype=np.float64).reshape(4, 2)
-            length = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1).sum()
-            if index in self.tags.centre_m and length > longest:
-                best, longest = (index, corners), length
+            length = float(np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1).sum())
+            if int(index) in self.tags.centre_m and length > longest:
+                best, longest = (int(index), corners), length
         return None if best is None else self.solve(*best)
 
     def solve(self, index: int, corners_px: FloatArray) -> Found | None:
@@ -87,7 +88,8 @@ class TagFinder:
         solved, rotation, place = cv2.solvePnP(
             self.tags.corners_m, corners_px, self.camera.matrix, bent, flags=cv2.SOLVEPNP_ITERATIVE
         )
-        pose = rigid_transform(rotation_from_vector(np.asarray(rotation).ravel()), np.asarray(place).ravel())
+        turned, moved = (np.asarray(vector, dtype=np.float64).ravel() for vector in (rotation, place))
+        pose = rigid_transform(rotation_from_vector(turned), moved)
         if not solved or not np.isfinite(pose).all():
             return None
         centre = pose[:3, :3] @ np.array(self.tags.centre_m[index]) + pose[:3, 3]

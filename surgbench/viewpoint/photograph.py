@@ -68,7 +68,8 @@ class Photographer:
             left, top, right, bottom = box
             grid = self._map[top * OVERSAMPLE : bottom * OVERSAMPLE, left * OVERSAMPLE : right * OVERSAMPLE]
             corner, pinhole = self._render(T_cam_object, grid)
-            bent = cv2.remap(pinhole, grid - corner, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+            columns, rows = np.ascontiguousarray(np.moveaxis(grid - corner, -1, 0))
+            bent = cv2.remap(pinhole, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
             picture[top:bottom, left:right] = cv2.resize(
                 bent, (right - left, bottom - top), interpolation=cv2.INTER_AREA
             )
@@ -147,7 +148,8 @@ def _bend(camera: Camera) -> tuple[NDArray[np.float32], Camera]:
     if any(camera.distortion):
         flat = seen.reshape(-1, 1, 2)
         matrix, bent = camera.matrix, np.array(camera.distortion)
-        seen = np.asarray(cv2.undistortPoints(flat, matrix, bent, P=matrix, criteria=_CRITERIA)).reshape(*size, 2)
+        straight = cv2.undistortPoints(flat, matrix, bent, P=matrix, criteria=_CRITERIA)
+        seen = np.asarray(straight, dtype=np.float64).reshape(*size, 2)
     fine = (seen + 0.5) * OVERSAMPLE - 0.5
     low = np.floor(fine.min(axis=(0, 1))) - 1
     width, height = (int(value) for value in np.ceil(fine.max(axis=(0, 1))) + 2 - low)
