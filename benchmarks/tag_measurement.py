@@ -10,6 +10,7 @@ Prints Markdown: cameras 9 to 12.5 cm from the ring that look at it up to 75 deg
 from __future__ import annotations
 
 import argparse
+import itertools
 import time
 from pathlib import Path
 
@@ -72,7 +73,7 @@ def measure(rng: np.random.Generator, count: int) -> None:
     print("|---|---|---|---|---|---|")
     for name, values in rows.items():
         table = np.array(values)
-        for low, high in zip(BANDS_DEG, BANDS_DEG[1:], strict=False):
+        for low, high in itertools.pairwise(BANDS_DEG):
             band = table[(table[:, 0] >= low) & (table[:, 0] < high)]
             parts = [np.nanpercentile(band[:, column], [50, 90, 99]) for column in (1, 2)]
             cells = " | ".join(" / ".join(f"{value:.1f}" for value in part) for part in parts)

@@ -87,6 +87,28 @@ def test_the_same_again_runs_nothing_and_another_run_gives_the_same_course(
     assert short["variant"] == "first 120 frames"
 
 
+def test_pictures_agree_with_geometry(dataset: Path, tmp_path: Path) -> None:
+    """The ring's centre by the tags in rendered pictures is where the true poses have it."""
+    surgbench(
+        *("run", "--dataset", dataset, "--tracker", "gaze", "--sequences", 1, "--photographs", 2, "--out", tmp_path)
+    )
+    (record,) = records(tmp_path)
+    tags = record["frames"]["tags_px"]
+    taken = [step for step, found in enumerate(tags) if found is not None]
+    assert taken == list(range(0, SAMPLES, 40))
+    found = np.array([tags[step] for step in taken], dtype=np.float64)
+    projected = np.array([record["frames"]["projected_px"][step] for step in taken], dtype=np.float64)
+    assert np.isfinite(found).mean() > 0.9
+    assert np.nanmedian(np.abs(found - projected)) < 2.0
+    rows = {(row["pixels"], row["camera"]): row for row in read_rows([tmp_path]) if row["camera"] is not None}
+    assert set(rows) == {(source, camera) for source in ("tags", "projected") for camera in ("left", "right", "any")}
+    for camera in ("left", "right"):
+        by_tags, by_geometry = (rows[source, camera]["l2_error_px"] for source in ("tags", "projected"))
+        assert by_tags == pytest.approx(by_geometry, abs=15.0)
+    # The right camera is 26.5 mm beside the point that is controlled.
+    assert rows["projected", "right"]["u_error_px"] > rows["projected", "left"]["u_error_px"] + 50.0
+
+
 @pytest.mark.parametrize("form", ["table", "csv", "markdown", "json"])
 def test_reports(runs: Path, form: str, capsys: pytest.CaptureFixture[str]) -> None:
     surgbench("report", runs, "--format", form)

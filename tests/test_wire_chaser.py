@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 import os
 import signal
 import subprocess
@@ -347,7 +348,8 @@ def test_same_bytes_again_for_any_number_of_jobs_and_others_for_another_seed(tmp
 
 
 def test_a_crash_is_resumed_with_the_trial_in_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    make, made = module.make_trial, []
+    make: Callable[[WireChaser, str], Trial] = module.make_trial
+    made: list[str] = []
 
     def failing(preset: WireChaser, trial_id: str, go_on: object) -> Trial:
         if trial_id == "001" and not made.count("001"):
@@ -391,7 +393,7 @@ def test_a_workers_trial_is_called_off(tmp_path: Path) -> None:
     class Stop:
         value = True
 
-    worker = module._Worker(ANY, tmp_path, Stop())  # type: ignore[arg-type]
+    worker = module._Worker(ANY, tmp_path, Stop())
     assert worker.write("000") == 0
     assert list(tmp_path.iterdir()) == []
 

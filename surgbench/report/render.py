@@ -123,7 +123,7 @@ def json(rows: Sequence[Row]) -> str:
 def markdown(rows: Sequence[Row]) -> str:
     """One table per dataset and number of arms, and a line for every failure."""
     parts = []
-    for title, group in _groups(rows):
+    for title, group in _groups([row for row in rows if row.get("camera") is None]):
         columns, best = _shown(group), _best(group)
         unsound = _unsound(group)
         if unsound:
@@ -166,7 +166,9 @@ def print_leaderboard(rows: Sequence[Row], console: Console) -> None:
     from rich.table import Table
     from rich.text import Text
 
-    for title, group in _groups([row for row in rows if row.get("subset", "all") == "all" and row.get("camera") is None]):
+    for title, group in _groups(
+        [row for row in rows if row.get("subset", "all") == "all" and row.get("camera") is None]
+    ):
         columns, best = _shown(group, console.width), _best(group)
         sheet = Table(title=Text(title), title_justify="left", box=box.SIMPLE_HEAD, padding=0, pad_edge=False)
         for column in columns:
@@ -237,7 +239,9 @@ def _ranks(row: Row) -> bool:
 
 
 def _unsound(rows: list[Row]) -> list[Row]:
-    return [row for row in rows if row["status"] != "ok" and row.get("subset", "all") == "all" and not row.get("camera")]
+    return [
+        row for row in rows if row["status"] != "ok" and row.get("subset", "all") == "all" and not row.get("camera")
+    ]
 
 
 def _reason(row: Row) -> str:

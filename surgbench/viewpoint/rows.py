@@ -33,7 +33,7 @@ VIEWPOINT_COLUMNS = (
     *(f"{error}{suffix}" for error in ERRORS for suffix in ("", "_std", "_sem")),
     "constrained_percent", "solver_percent", *COUNTS,
     "camera", "pixels",
-    *(f"{error}_error_{unit}{suffix}" for error in PIXEL_ERRORS for unit in ("px", "percent") for suffix in ("", "_std")),
+    *(f"{error}_error_{unit}{kind}" for error in PIXEL_ERRORS for unit in ("px", "percent") for kind in ("", "_std")),
     *(f"visibility_{which}_percent" for which in VISIBILITY),
 )  # fmt: skip
 _SOLVER_BITS = sum(1 << CONSTRAINTS.index(name) for name in ("proximity", "joint_limit"))
@@ -95,7 +95,7 @@ def _visibility(left: FloatArray, right: FloatArray) -> Row:
 
 
 def _pixel_rows(common: Row, records: list[ViewpointRecord], source: str) -> list[Row]:
-    """How far the feature was from the middle of the left picture, of the right one, and of any; trimmed as published."""
+    """How far the feature was from the middle of the left picture, the right one, and any; trimmed as published."""
     left, right = stacked_pixels(records, source)
     if not len(left):
         return []
@@ -117,7 +117,12 @@ def _pixel_rows(common: Row, records: list[ViewpointRecord], source: str) -> lis
 
 
 def _row(common: Row, subset: str, records: list[ViewpointRecord], chosen: list[NDArray[np.bool_]]) -> Row:
-    row: Row = {**dict.fromkeys(VIEWPOINT_COLUMNS), **common, "subset": subset, "samples": int(sum(mask.sum() for mask in chosen))}
+    row: Row = {
+        **dict.fromkeys(VIEWPOINT_COLUMNS),
+        **common,
+        "subset": subset,
+        "samples": int(sum(mask.sum() for mask in chosen)),
+    }
     for error in ERRORS:
         summary = summarise(_by_trial(records, chosen, error))
         row |= {error: summary.mean, f"{error}_std": summary.std, f"{error}_sem": summary.sem}
