@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import itertools
 import time
+from itertools import pairwise
 from pathlib import Path
 
 import cv2
@@ -73,7 +74,11 @@ def measure(rng: np.random.Generator, count: int) -> None:
     print("|---|---|---|---|---|---|")
     for name, values in rows.items():
         table = np.array(values)
+<<<<<<< HEAD
         for low, high in itertools.pairwise(BANDS_DEG):
+=======
+        for low, high in pairwise(BANDS_DEG):
+>>>>>>> wt-cam
             band = table[(table[:, 0] >= low) & (table[:, 0] < high)]
             parts = [np.nanpercentile(band[:, column], [50, 90, 99]) for column in (1, 2)]
             cells = " | ".join(" / ".join(f"{value:.1f}" for value in part) for part in parts)
@@ -82,11 +87,14 @@ def measure(rng: np.random.Generator, count: int) -> None:
 
 
 def draw(rng: np.random.Generator, path: Path) -> None:
-    """A pair of pictures: the tag that was taken (green), the measured centre (red cross), the true one (circle)."""
+    """A pair of pictures: the tag that was taken (green), the measured centre (red cross), the true one (circle).
+
+    Without noise, which no PNG can pack.
+    """
     T_world_feature = rigid_transform(rotation_from_vector(np.array([0.8, 0.35, 0.2])), np.zeros(3))
     T_world_camera = naive_pose(T_world_feature)
     eyes = [T_world_camera @ T_camera_eye for T_camera_eye in EYES]
-    pairs = CentroidMeasurement(AUTOCAM_STEREO, tool=True).look(eyes[0], eyes[1], T_world_feature, rng)
+    pairs = CentroidMeasurement(AUTOCAM_STEREO, noise=0.0, tool=True).look(eyes[0], eyes[1], T_world_feature, rng)
     true, _ = AUTOCAM_STEREO.see(T_world_camera, T_world_feature[:3, 3])
     drawn = []
     for name, (picture, found), centre in zip(("left", "right"), pairs, true, strict=True):

@@ -49,7 +49,7 @@ class TagFinder:
 
     Settings are the authors': corners refined to sub-pixels in a window of 7 pixels either way, 50 iterations, to
     0.005; error correction rate 0.7. But a cell of a tag has 4 pixels at 11 cm, so that this window would take in the
-    tag's code and what is around it; present versions of OpenCV, unlike the authors' 4.8, limit it by the cells' size.
+    tag's code and what is around it; OpenCV 4.9 and later, unlike the authors' 4.8, limit it by the cells' size.
 
     Args:
         camera: That took the pictures: intrinsics and distortion as calibrated.

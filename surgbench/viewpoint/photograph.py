@@ -1,6 +1,7 @@
 """Grey pictures as a camera with a distorting lens takes them, rendered with Mitsuba.
 
-Light comes from all sides alike. Only the part of the picture that the subject covers is rendered, by a pinhole camera
+Light comes from all sides alike, and a surface is as bright as it reflects; what something covers along its normal is
+dark. Only the part of the picture that the subject covers is rendered, by a pinhole camera
 with ``OVERSAMPLE`` rays a pixel in each direction, and then bent: as many points of each pixel are looked up in it, at
 the places which the lens sees there, and averaged.
 """
@@ -119,7 +120,7 @@ class Photographer:
         mi = self._mi
         view = depth_view(mi, self._pinhole)
         view["sensor"]["film"]["pixel_format"] = "luminance_alpha"
-        # One diffusely reflected ray finds the light or another part of the subject.
+        # One reflected ray finds the light or another part of the subject: along the normal, as nothing is jittered.
         view["integrator"] = {"type": "direct", "emitter_samples": 0, "bsdf_samples": 1, "hide_emitters": True}
         group: dict[str, Any] = {"type": "shapegroup"}
         for number, panel in enumerate(subject.panels):
@@ -181,6 +182,7 @@ def _mesh(mi: Any, solid: Solid) -> Any:
     properties = mi.Properties()
     colour = {"type": "uniform", "value": solid.reflectance}
     properties["bsdf"] = mi.load_dict({"type": "twosided", "inside": {"type": "diffuse", "reflectance": colour}})
+    properties["face_normals"] = True
     mesh = mi.Mesh("solid", len(solid.mesh.vertices_m), len(solid.mesh.faces), props=properties)
     parameters = mi.traverse(mesh)
     parameters["vertex_positions"] = solid.mesh.vertices_m.astype(np.float32).ravel()

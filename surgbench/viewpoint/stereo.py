@@ -28,7 +28,7 @@ class Mount(BaseModel):
     below the principal point, and ``f tan(-yaw)`` to its right.
 
     The authors' logs have the ring (+8, +37) px from the middle of the left picture and (-97, +33) px from that of the
-    right one, at 107.5 mm (medians). The principal points and the baseline account for (-8, -4) and (-103, +2) of
+    right one, at 107.5 mm (medians). The principal points and the baseline account for (-8, -4) and (-105, +2) of
     this; these two angles bring all four within 7 px.
     """
 
