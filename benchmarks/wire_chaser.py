@@ -75,7 +75,7 @@ def main() -> None:
             axes = draw_trial(figure, trial, constrained, (1, min(len(trials), 2), number + 1))
             if number == 0:
                 figure.legend(*axes.get_legend_handles_labels(), loc="lower center", ncols=4, frameon=False)
-        figure.subplots_adjust(left=0.0, right=0.96, bottom=0.06, top=1.0, wspace=0.05)
+        figure.subplots_adjust(left=0.0, right=0.96, bottom=0.06, top=0.93, wspace=0.05)
         figure.savefig(arguments.picture, dpi=110, metadata={"Software": None})
 
 
