@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,8 @@ from surgbench.viewpoint.stereo import AUTOCAM_STEREO
 from surgbench.viewpoint.trial import Trial
 
 DECIMALS = 3
+# Runs are threads of this process, and Mitsuba does not like several.
+_ONE_AT_A_TIME = threading.Lock()
 
 
 class Pictures:
@@ -43,16 +46,24 @@ class Pictures:
         found = {"projected_px": _rows(np.where(inside[..., None], projected, np.nan))}
         if self._hz <= 0 or not count:
             return found
+        steps = range(0, count, max(1, round(1 / (self._hz * trial.dt_s))))
+        with _ONE_AT_A_TIME:
+            return {**found, "tags_px": self._photograph(camera, feature, steps)}
+
+    def _photograph(
+        self, T_world_camera: FloatArray, T_world_feature: FloatArray, steps: range
+    ) -> list[list[float | None] | None]:
         from surgbench.viewpoint.markers import CentroidMeasurement
 
         measurement = CentroidMeasurement(AUTOCAM_STEREO)
         T_camera_left, T_camera_right = AUTOCAM_STEREO.T_camera_left, AUTOCAM_STEREO.T_camera_right
-        tags: list[list[float | None] | None] = [None] * count
-        for step in range(0, count, max(1, round(1 / (self._hz * trial.dt_s)))):
-            if np.isfinite(feature[step]).all():
-                left, right = camera[step] @ T_camera_left, camera[step] @ T_camera_right
-                tags[step] = _rows(measurement.measure(left, right, feature[step], self._rng)[None])[0]
-        return {**found, "tags_px": tags}
+        tags: list[list[float | None] | None] = [None] * len(T_world_camera)
+        for step in steps:
+            feature, camera = T_world_feature[step], T_world_camera[step]
+            if np.isfinite(feature).all():
+                pixels = measurement.measure(camera @ T_camera_left, camera @ T_camera_right, feature, self._rng)
+                tags[step] = _rows(pixels[None])[0]
+        return tags
 
 
 def _rows(pixels: FloatArray) -> list[list[float | None]]:
