@@ -220,6 +220,28 @@ def test_reports_have_a_constant_error_noise_and_gaps() -> None:
     assert 0.01 < lost.mean() < 0.08
 
 
+@pytest.mark.parametrize(
+    "hand",
+    [
+        Hand(rest_share=(0.0, 0.0), resting_pace=0.0),
+        Hand(wobble_rad=(0.0, 0.0), twist_rad=0.0, tremor_m=0.0, lean=0.0),
+        Hand(speed_m_s=1e-6),
+        Hand(clutch_every_s=0.1, rest_share=(0.9, 0.9)),
+    ],
+)
+def test_the_steadiest_and_the_laziest_hands_make_whole_trials(hand: Hand) -> None:
+    trial = make_trial(ANY.model_copy(update={"hand": hand}), "000")
+    assert np.isfinite(true_poses(trial)).all()
+    assert trial.measured.all()
+    way = np.linalg.norm(np.diff(true_poses(trial)[:, :3, 3], axis=0), axis=1)
+    assert way.max() < 0.2 * trial.dt_s
+
+
+def test_a_ring_that_is_never_measured_makes_no_trial() -> None:
+    with pytest.raises(ConfigError, match="trial '000'"):
+        make_trial(ANY.model_copy(update={"measurement": Measurement(dropout=1.0), "tries": 300}), "000")
+
+
 # The camera arm, and how often it is constrained
 
 
@@ -347,14 +369,16 @@ def test_same_bytes_again_for_any_number_of_jobs_and_others_for_another_seed(tmp
 
 
 def test_a_crash_is_resumed_with_the_trial_in_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    make, made = module.make_trial, []
+    make = module.make_trial
+    made: list[str] = []
 
     def failing(preset: WireChaser, trial_id: str, go_on: object) -> Trial:
         if trial_id == "001" and not made.count("001"):
             made.append(trial_id)
             raise RuntimeError("crash")
         made.append(trial_id)
-        return make(preset, trial_id)
+        trial: Trial = make(preset, trial_id)
+        return trial
 
     monkeypatch.setattr(module, "make_trial", failing)
     with pytest.raises(RuntimeError, match="crash"):
@@ -391,7 +415,7 @@ def test_a_workers_trial_is_called_off(tmp_path: Path) -> None:
     class Stop:
         value = True
 
-    worker = module._Worker(ANY, tmp_path, Stop())  # type: ignore[arg-type]
+    worker = module._Worker(ANY, tmp_path, Stop())
     assert worker.write("000") == 0
     assert list(tmp_path.iterdir()) == []
 
