@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from functools import cached_property
+from functools import lru_cache
 from pathlib import Path
 from typing import Annotated
 
@@ -61,23 +61,14 @@ class Camera(BaseModel):
         v = self.fy * points[..., 1] / z + self.cy
         return np.stack([u, v], axis=-1)
 
-    @cached_property
+    @property
     def widest(self) -> float:
         """Tangent of the angle to the axis up to which the lens sees; beyond, its model folds the picture over.
 
         Where a point is seen must move outwards when the point does: the radial part of OpenCV's model grows. Infinite
         without distortion.
         """
-        if not any(self.distortion):
-            return float("inf")
-        k1, k2, _, _, k3, k4, k5, k6 = (*self.distortion, *(0.0,) * 8)[:8]
-        tangent = np.linspace(0.0, _WIDEST, _STEPS + 1)
-        square = tangent**2
-        numerator = 1.0 + square * (k1 + square * (k2 + square * k3))
-        denominator = 1.0 + square * (k4 + square * (k5 + square * k6))
-        with np.errstate(divide="ignore", invalid="ignore"):
-            grows = np.diff(tangent * numerator / denominator) > 0
-        return float(tangent[-1] if grows.all() else tangent[int(np.argmin(grows))])
+        return _widest(self.distortion)
 
     def see(self, points_cam: FloatArray) -> FloatArray:
         """Where the camera sees points of its frame, its lens's distortion included (OpenCV's model).
@@ -111,6 +102,21 @@ class Camera(BaseModel):
             & (v <= self.height - 0.5 - margin_px)
         )
         return inside
+
+
+@lru_cache(maxsize=64)
+def _widest(distortion: tuple[float, ...]) -> float:
+    """:attr:`Camera.widest` of coefficients."""
+    if not any(distortion):
+        return float("inf")
+    k1, k2, _, _, k3, k4, k5, k6 = (*distortion, *(0.0,) * 8)[:8]
+    tangent = np.linspace(0.0, _WIDEST, _STEPS + 1)
+    square = tangent**2
+    numerator = 1.0 + square * (k1 + square * (k2 + square * k3))
+    denominator = 1.0 + square * (k4 + square * (k5 + square * k6))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        grows = np.diff(tangent * numerator / denominator) > 0
+    return float(tangent[-1] if grows.all() else tangent[int(np.argmin(grows))])
 
 
 def read_camera(path: Path) -> Camera:

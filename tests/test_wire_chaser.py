@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -369,7 +370,7 @@ def test_same_bytes_again_for_any_number_of_jobs_and_others_for_another_seed(tmp
 
 
 def test_a_crash_is_resumed_with_the_trial_in_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    make = module.make_trial
+    make: Callable[[WireChaser, str], Trial] = module.make_trial
     made: list[str] = []
 
     def failing(preset: WireChaser, trial_id: str, go_on: object) -> Trial:
@@ -377,8 +378,7 @@ def test_a_crash_is_resumed_with_the_trial_in_work(tmp_path: Path, monkeypatch: 
             made.append(trial_id)
             raise RuntimeError("crash")
         made.append(trial_id)
-        trial: Trial = make(preset, trial_id)
-        return trial
+        return make(preset, trial_id)
 
     monkeypatch.setattr(module, "make_trial", failing)
     with pytest.raises(RuntimeError, match="crash"):

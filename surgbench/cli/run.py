@@ -44,6 +44,10 @@ def run(
     missing_face: Annotated[
         bool, typer.Option("--missing-face", help="Viewpoint task: one side of the no-go zone open, as published.")
     ] = False,
+    photographs: Annotated[
+        float | None,
+        typer.Option(min=0, max=100, metavar="HZ", help="Viewpoint task: find the ring in so many pictures a second."),
+    ] = None,
     set_: Annotated[
         list[str] | None, typer.Option("--set", metavar="NAME.option=value", help="An option; may be repeated.")
     ] = None,
@@ -95,6 +99,7 @@ def run(
         "view": view,
         "registration": registration,
         "missing_face": missing_face or None,
+        "photographs_hz": photographs,
         "sequences": sequences,
         "frames": frames,
     }

@@ -125,6 +125,8 @@ class ViewpointFrames(AnyFrames):
         limit_violation: Whether the set point lay outside the joint limits.
         no_go_depth_m: How deep in the no-go zone the commanded camera was; negative outside.
         latency_ms: What the step took.
+        projected_px: u and v of the feature in the left and the right picture, ``None`` where it is outside.
+        tags_px: The same as found by the tags in rendered pictures; ``None`` where no picture was taken.
     """
 
     joints: list[list[float]] = []
@@ -136,6 +138,8 @@ class ViewpointFrames(AnyFrames):
     rules: list[int] = []
     limit_violation: list[bool] = []
     no_go_depth_m: list[float] = []
+    projected_px: list[list[Number]] = []
+    tags_px: list[list[Number] | None] = []
     latency_ms: list[Number] = []
 
 

@@ -97,6 +97,7 @@ VIEWPOINT = (
     Column("pn_mm", "PN\nmm", "PN [mm]", 1, best=True),
     Column("vva_true_deg", "true\nVVA", "true VVA [deg]", 2, best=True, from_width=90),
     Column("constrained_percent", "bound\n%", "constrained [%]", 1),
+    Column("visibility_any_percent", "seen\n%", "visible to a camera [%]", 2, from_width=90),
     Column("no_go_violations", "no-\ngo", "no-go violations"),
     Column("limit_violations", "limit", "limit violations", from_width=100),
     Column("latency_ms", "time\nms", "latency [ms]", 3, best=True),
@@ -122,7 +123,7 @@ def json(rows: Sequence[Row]) -> str:
 def markdown(rows: Sequence[Row]) -> str:
     """One table per dataset and number of arms, and a line for every failure."""
     parts = []
-    for title, group in _groups(rows):
+    for title, group in _groups([row for row in rows if row.get("camera") is None]):
         columns, best = _shown(group), _best(group)
         unsound = _unsound(group)
         if unsound:
@@ -165,7 +166,9 @@ def print_leaderboard(rows: Sequence[Row], console: Console) -> None:
     from rich.table import Table
     from rich.text import Text
 
-    for title, group in _groups([row for row in rows if row.get("subset", "all") == "all"]):
+    for title, group in _groups(
+        [row for row in rows if row.get("subset", "all") == "all" and row.get("camera") is None]
+    ):
         columns, best = _shown(group, console.width), _best(group)
         sheet = Table(title=Text(title), title_justify="left", box=box.SIMPLE_HEAD, padding=0, pad_edge=False)
         for column in columns:
@@ -236,7 +239,9 @@ def _ranks(row: Row) -> bool:
 
 
 def _unsound(rows: list[Row]) -> list[Row]:
-    return [row for row in rows if row["status"] != "ok" and row.get("subset", "all") == "all"]
+    return [
+        row for row in rows if row["status"] != "ok" and row.get("subset", "all") == "all" and not row.get("camera")
+    ]
 
 
 def _reason(row: Row) -> str:

@@ -25,7 +25,7 @@ HASH_DIGITS = 16
 # What a row may ask for on datasets of one task alone.
 TASK_FIELDS = {
     "instrument": ("initialiser", "filter", "keypoints", "readings", "view"),
-    "viewpoint": ("registration", "missing_face"),
+    "viewpoint": ("registration", "missing_face", "photographs_hz"),
 }
 
 
@@ -43,6 +43,7 @@ class Row(BaseModel):
         view: Auxiliary view that the tracker is given besides the endoscope's.
         registration: Viewpoint task: how touched points correct the camera arm's base.
         missing_face: Viewpoint task: the no-go zone as in the published code, which never tests one of its sides.
+        photographs_hz: Viewpoint task: so many stereo pictures a second are rendered, and the feature is found in them.
         options: Plug-in name to its options, for example ``{"cmaes": {"iterations": 5}}``.
         sequences: Only so many units, spread evenly over the dataset's from the first to the last.
         frames: Only the first so many frames of each.
@@ -59,6 +60,7 @@ class Row(BaseModel):
     view: str | None = None
     registration: Registration = "translation"
     missing_face: bool = False
+    photographs_hz: Annotated[float, Field(ge=0, le=100, allow_inf_nan=False)] = 0.0
     options: dict[str, dict[str, Any]] = {}
     sequences: Annotated[int, Field(ge=1)] | None = None
     frames: Annotated[int, Field(ge=1)] | None = None

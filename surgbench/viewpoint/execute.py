@@ -10,10 +10,12 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from surgbench.geometry import FloatArray
+from surgbench.randomness import generator
 from surgbench.suite.child import Child, ChildProblemError
 from surgbench.suite.head import head
 from surgbench.suite.plan import Job
 from surgbench.viewpoint.contract import ViewpointScene
+from surgbench.viewpoint.pictures import Pictures
 from surgbench.viewpoint.plan import ViewpointSettings
 from surgbench.viewpoint.scores import course_errors, naive_violations, no_go_depth
 from surgbench.viewpoint.simulator import Course, make_scene
@@ -83,16 +85,17 @@ def execute_viewpoint(
     finally:
         children.discard(child)
         child.stop()
+    pictures = Pictures(settings.photographs_hz, generator(**axes, purpose="pictures"))
     return {
         **head(job, dataset, environment),
         "status": status,
         "error": error,
         "traceback": trace,
-        **({"frames": {}, "errors": {}} if course is None else measure(course, trial, scene)),
+        **({"frames": {}, "errors": {}} if course is None else measure(course, trial, scene, pictures)),
     }
 
 
-def measure(course: Course, trial: Trial, scene: ViewpointScene) -> dict[str, Any]:
+def measure(course: Course, trial: Trial, scene: ViewpointScene, pictures: Pictures) -> dict[str, Any]:
     """What a record keeps of a course: ``frames``, ``errors``."""
     count = len(course.goals)
     rules = naive_violations(trial, scene, count).stacked()
@@ -108,6 +111,7 @@ def measure(course: Course, trial: Trial, scene: ViewpointScene) -> dict[str, An
         "limit_violation": (~scene.arm.within_limits(course.setpoints[1:], 1e-9)).tolist(),
         "no_go_depth_m": np.round(no_go_depth(course, scene), JOINT_DECIMALS).tolist(),
         "latency_ms": _numbers(course.latency_ms),
+        **pictures.pixels(course, trial, scene),
     }
     errors = {name: _numbers(values) for name, values in course_errors(course, trial, scene).items()}
     return {"frames": frames, "errors": errors}

@@ -22,7 +22,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from surgbench.geometry import FloatArray, rigid_transform
+from surgbench.geometry import FloatArray, rigid_transform, rotation_from_vector
 from surgbench.instrument.model import LinkMesh
 
 DICTIONARY = cv2.aruco.DICT_4X4_1000
@@ -106,7 +106,7 @@ class Tags:
         default_factory=lambda: MappingProxyType({index: _axes(index) for index in range(4)})
     )
 
-    def T_feature_tag(self, index: int) -> FloatArray:
+    def T_feature_tag(self, index: int) -> FloatArray:  # noqa: N802
         """``(4, 4)`` where a tag is, its origin the first corner."""
         return rigid_transform(self.axes[index], -self.axes[index] @ np.array(self.centre_m[index]))
 
@@ -153,14 +153,14 @@ def grasp_object(tags: Tags | None = None, tool: bool = False) -> Subject:
     flat, wide = below / np.cos(CHAMFER_RAD), below / np.sin(CHAMFER_RAD)
     across = np.array([[wide, 0], [0, flat], [-wide, 0], [0, -flat]])
     points = [np.column_stack([across, np.full(4, z)]) for z in (-0.0232, -0.0115)]
-    solids = [_solid(trimesh.convex.convex_hull(np.concatenate(points)), 0.45)]
+    solids = [_solid(trimesh.convex.convex_hull(np.concatenate(points)), WHITE)]
     if tool:
         ring = trimesh.creation.torus(0.0050, 0.0007, major_sections=48, minor_sections=12)
-        ring.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0]))
+        ring.apply_transform(rigid_transform(rotation_from_vector(np.array([np.pi / 2, 0.0, 0.0])), np.zeros(3)))
         stem = trimesh.creation.cylinder(0.0010, segment=[[0, 0, -0.0118], [0, 0, -0.0050]], sections=16)
         jaws = trimesh.creation.cylinder(0.0025, segment=[[0, 0, -0.036], [0, 0, -0.023]], sections=16)
         shaft = trimesh.creation.cylinder(0.0042, segment=[[0, 0, -0.090], [0, 0, -0.036]], sections=32)
-        solids += [_solid(ring, 0.75), _solid(stem, 0.6), _solid(jaws, 0.3), _solid(shaft, 0.15)]
+        solids += [_solid(ring, 0.75), _solid(stem, 0.6), _solid(jaws, 0.5), _solid(shaft, 0.15)]
     return Subject(tuple(panels), tuple(solids))
 
 

@@ -20,6 +20,10 @@ SUBSET_NAMES = {
     "unconstrained": "without a constraint (WoC)",
     "constrained": "with a constraint (WC)",
 }
+SOURCES = {
+    "tags": "by the tags in rendered pictures, as the authors measured it",
+    "projected": "by geometry, at every sample",
+}
 # Key, heading, decimals.
 ERRORS = (
     ("vva_deg", "VVA [deg]", 2),
@@ -48,6 +52,7 @@ def page(definition: Definition, results: Results) -> str:
     if results.about["figure"]:
         parts.append(f"![Errors over time]({FIGURE_PNG})")
         parts.append(f"![Ring, naive camera and camera in space]({PATHS_PNG})")
+        parts.append(f"![Where the ring was in the pictures]({CENTROIDS_PNG})")
     for block in table.blocks:
         rows = [row for row in results.rows if row["block"] == block.name]
         data = _dataset(block, results.about["datasets"][block.dataset.folder])
@@ -55,6 +60,10 @@ def page(definition: Definition, results: Results) -> str:
         for subset, name in SUBSET_NAMES.items():
             parts += [f"### Table I, {name}", _errors(rows, published, "table1", subset)]
         parts += ["### In truth, and what was commanded", _truth(rows)]
+        for source, name in SOURCES.items():
+            centroids = _centroids(rows, published, source)
+            if centroids:
+                parts += [f"### Table II, {name}", centroids]
         parts += [
             "### Table III, where the naive pose is out of reach or too near",
             _errors(rows, published, "table3", "solver"),
@@ -70,11 +79,39 @@ def _errors(rows: Sequence[Row], published: Published | None, table: str, subset
         count = f"{values['samples']:.0f}" if "samples" in values else "–"
         lines.append([f"*{published.short}*", "", count, *cells, _published(values.get("latency_ms"), 2)])
     for row in rows:
-        if row["subset"] != subset:
+        if row["subset"] != subset or row["camera"] is not None:
             continue
         cells = [_with_spread(row[key], row[f"{key}_std"], decimals) for key, _, decimals in ERRORS]
         lines.append([row["label"], f"`{row['row_id']}`", str(row["samples"]), *cells, _latency(row)])
     return _table(lines, text_columns=2)
+
+
+def _centroids(rows: Sequence[Row], published: Published | None, source: str) -> str:
+    """One line for each controller: left and right errors in pixels and percent, and visibility."""
+    eyes, errors = ("left", "right"), ("l2", "u", "v")
+    heads = [f"{error.upper() if error == 'l2' else error} {eye} [px]" for eye in eyes for error in errors]
+    heads += ["L2 both [%]", *(f"seen {which} [%]" for which in ("left", "right", "any", "both"))]
+    lines = [["controller", "row id", "pictures", *heads]]
+    if published is not None:
+        data = published.rows["table2"].data
+        cells = [_published(data[eye][f"{error}_error_px"], 1) for eye in eyes for error in errors]
+        cells += [_published(data["any"]["l2_error_percent"], 2)]
+        cells += [_published(data[which]["visibility_percent"], 2) for which in ("left", "right", "any", "both")]
+        lines.append([f"*{published.short}*", "", "–", *cells])
+    for id_ in dict.fromkeys(row["row_id"] for row in rows):
+        own = {row["camera"]: row for row in rows if row["row_id"] == id_ and row["pixels"] == source}
+        if not own:
+            continue
+        cells = [
+            _with_spread(own[eye][f"{error}_error_px"], own[eye][f"{error}_error_px_std"], 1)
+            for eye in eyes
+            for error in errors
+        ]
+        both = own["any"]
+        cells.append(_with_spread(both["l2_error_percent"], both["l2_error_percent_std"], 2))
+        cells += [_number(both[f"visibility_{which}_percent"], 2) for which in ("left", "right", "any", "both")]
+        lines.append([both["label"], f"`{id_}`", str(both["samples"]), *cells])
+    return _table(lines, text_columns=2) if len(lines) > 1 + (published is not None) else ""
 
 
 def _truth(rows: Sequence[Row]) -> str:
@@ -82,7 +119,7 @@ def _truth(rows: Sequence[Row]) -> str:
     heads += ["constrained [%]", "no-go violations", "limit violations", "clipped commands", "p99.9 [ms]"]
     lines = [["controller", "row id", *heads]]
     for row in rows:
-        if row["subset"] == "all":
+        if row["subset"] == "all" and row["camera"] is None:
             keys = ("vva_true_deg", "fd_true_mm", "pf_true_deg", "an_true_deg", "pn_full_mm", "constrained_percent")
             cells = [_number(row[key], 2) for key in keys]
             counts = [str(row[key]) for key in ("no_go_violations", "limit_violations", "clipped_commands")]
@@ -111,7 +148,7 @@ def _failures(rows: Sequence[Row]) -> list[str]:
     lines = [
         f"- `{row['row_id']}` {row['status']}: {row['error'] or 'no message'}"
         for row in rows
-        if row["status"] != "ok" and row["subset"] == "all"
+        if row["status"] != "ok" and row["subset"] == "all" and row["camera"] is None
     ]
     return ["\n".join(lines)] if lines else []
 

@@ -1,6 +1,7 @@
 """Grey pictures as a camera with a distorting lens takes them, rendered with Mitsuba.
 
-Light comes from all sides alike. Only the part of the picture that the subject covers is rendered, by a pinhole camera
+Light comes from all sides alike, and a surface is as bright as it reflects; what something covers along its normal is
+dark. Only the part of the picture that the subject covers is rendered, by a pinhole camera
 with ``OVERSAMPLE`` rays a pixel in each direction, and then bent: as many points of each pixel are looked up in it, at
 the places which the lens sees there, and averaged.
 """
@@ -42,9 +43,7 @@ class Photographer:
         SurgbenchError: Mitsuba cannot be loaded.
     """
 
-    def __init__(
-        self, camera: Camera, subject: Subject, background: float = BACKGROUND, noise: float = NOISE
-    ) -> None:
+    def __init__(self, camera: Camera, subject: Subject, background: float = BACKGROUND, noise: float = NOISE) -> None:
         self.camera, self.background, self.noise = camera, background, noise
         self._points_m = subject.points_m
         self._map, self._pinhole = _bend(camera)
@@ -70,8 +69,11 @@ class Photographer:
             left, top, right, bottom = box
             grid = self._map[top * OVERSAMPLE : bottom * OVERSAMPLE, left * OVERSAMPLE : right * OVERSAMPLE]
             corner, pinhole = self._render(T_cam_object, grid)
-            bent = cv2.remap(pinhole, grid - corner, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-            picture[top:bottom, left:right] = cv2.resize(bent, (right - left, bottom - top), interpolation=cv2.INTER_AREA)
+            columns, rows = np.ascontiguousarray(np.moveaxis(grid - corner, -1, 0))
+            bent = cv2.remap(pinhole, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+            picture[top:bottom, left:right] = cv2.resize(
+                bent, (right - left, bottom - top), interpolation=cv2.INTER_AREA
+            )
         if self.noise:
             picture += np.float32(self.noise) * rng.standard_normal(size, dtype=np.float32)
         grey: Picture = np.rint(255.0 * picture.clip(0.0, 1.0)).astype(np.uint8)
@@ -95,7 +97,9 @@ class Photographer:
             return None
         return int(low[0]), int(low[1]), int(high[0]), int(high[1])
 
-    def _render(self, T_cam_object: FloatArray, grid: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    def _render(
+        self, T_cam_object: FloatArray, grid: NDArray[np.float32]
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """The pinhole camera's picture where a grid looks it up, and the pixel in its corner."""
         mi = self._mi
         if mi.variant() != VARIANT:
@@ -116,7 +120,7 @@ class Photographer:
         mi = self._mi
         view = depth_view(mi, self._pinhole)
         view["sensor"]["film"]["pixel_format"] = "luminance_alpha"
-        # One diffusely reflected ray finds the light or another part of the subject.
+        # One reflected ray finds the light or another part of the subject: along the normal, as nothing is jittered.
         view["integrator"] = {"type": "direct", "emitter_samples": 0, "bsdf_samples": 1, "hide_emitters": True}
         group: dict[str, Any] = {"type": "shapegroup"}
         for number, panel in enumerate(subject.panels):
@@ -145,7 +149,8 @@ def _bend(camera: Camera) -> tuple[NDArray[np.float32], Camera]:
     if any(camera.distortion):
         flat = seen.reshape(-1, 1, 2)
         matrix, bent = camera.matrix, np.array(camera.distortion)
-        seen = np.asarray(cv2.undistortPoints(flat, matrix, bent, P=matrix, criteria=_CRITERIA)).reshape(*size, 2)
+        straight = cv2.undistortPoints(flat, matrix, bent, P=matrix, criteria=_CRITERIA)
+        seen = np.asarray(straight, dtype=np.float64).reshape(*size, 2)
     fine = (seen + 0.5) * OVERSAMPLE - 0.5
     low = np.floor(fine.min(axis=(0, 1))) - 1
     width, height = (int(value) for value in np.ceil(fine.max(axis=(0, 1))) + 2 - low)
@@ -163,7 +168,8 @@ def _bend(camera: Camera) -> tuple[NDArray[np.float32], Camera]:
 def _rectangle(mi: Any, panel: Panel) -> dict[str, Any]:
     # Mitsuba's rectangle reaches from -1 to 1.
     half = np.diag([panel.size_m[0] / 2, panel.size_m[1] / 2, 1.0, 1.0])
-    bitmap = mi.Bitmap(np.ascontiguousarray(panel.texture[..., None]))
+    # And its texture starts at the bottom.
+    bitmap = mi.Bitmap(np.ascontiguousarray(panel.texture[::-1, :, None]))
     picture = {"type": "bitmap", "bitmap": bitmap, "raw": True, "filter_type": "nearest", "wrap_mode": "clamp"}
     return {
         "type": "rectangle",
@@ -176,6 +182,7 @@ def _mesh(mi: Any, solid: Solid) -> Any:
     properties = mi.Properties()
     colour = {"type": "uniform", "value": solid.reflectance}
     properties["bsdf"] = mi.load_dict({"type": "twosided", "inside": {"type": "diffuse", "reflectance": colour}})
+    properties["face_normals"] = True
     mesh = mi.Mesh("solid", len(solid.mesh.vertices_m), len(solid.mesh.faces), props=properties)
     parameters = mi.traverse(mesh)
     parameters["vertex_positions"] = solid.mesh.vertices_m.astype(np.float32).ravel()

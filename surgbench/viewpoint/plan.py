@@ -17,16 +17,19 @@ class ViewpointSettings(Settings):
     Attributes:
         registration: How the touched points correct the camera arm's base.
         missing_face: The no-go zone as in the published code.
+        photographs_hz: How many stereo pictures a second the feature is looked for in.
     """
 
     registration: Registration
     missing_face: bool
+    photographs_hz: float = 0.0
 
     task: ClassVar[str] = "viewpoint"
 
     def spec(self) -> dict[str, Any]:
         """Adds what the controller is told of the world."""
-        return {**super().spec(), "registration": self.registration, "missing_face": self.missing_face}
+        spec = {**super().spec(), "registration": self.registration, "missing_face": self.missing_face}
+        return {**spec, "photographs_hz": self.photographs_hz} if self.photographs_hz else spec
 
     def words(self) -> list[str]:
         """Adds what the controller is told of the world."""
@@ -35,6 +38,8 @@ class ViewpointSettings(Settings):
             words.append(f"registration {self.registration}")
         if self.missing_face:
             words.append("zone without its fourth side")
+        if self.photographs_hz:
+            words.append(f"{self.photographs_hz:g} pictures a second")
         return words
 
 
@@ -56,4 +61,5 @@ def complete_viewpoint(row: Row, protocol: Protocol, dataset: ViewpointDataset) 
         frames_limit=cut(row, [dataset.sequence(unit.sequence).frames for unit in dataset.units()]),
         registration=row.registration,
         missing_face=row.missing_face,
+        photographs_hz=row.photographs_hz,
     )

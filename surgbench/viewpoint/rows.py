@@ -16,11 +16,15 @@ from surgbench.geometry import FloatArray
 from surgbench.metrics import summarise
 from surgbench.report.records import ViewpointRecord
 from surgbench.report.rows import COMMON_COLUMNS, Row, pooled
+from surgbench.viewpoint.centroids import ERRORS as PIXEL_ERRORS
+from surgbench.viewpoint.centroids import centroid_table, visibility
 from surgbench.viewpoint.placement import CONSTRAINTS
 from surgbench.viewpoint.scores import NO_GO_TOLERANCE_M, POSE_ERRORS, SIGNED, TRUE_ERRORS
+from surgbench.viewpoint.stereo import AUTOCAM_STEREO
 
 SUBSETS = ("all", "unconstrained", "constrained", "solver")
 ERRORS = (*POSE_ERRORS, SIGNED, *TRUE_ERRORS)
+VISIBILITY = ("left", "right", "any", "both")
 COUNTS = ("limit_violations", "clipped_commands", "no_go_violations")
 VIEWPOINT_COLUMNS = (
     *COMMON_COLUMNS,
@@ -28,6 +32,9 @@ VIEWPOINT_COLUMNS = (
     "registration", "missing_face", "subset", "samples",
     *(f"{error}{suffix}" for error in ERRORS for suffix in ("", "_std", "_sem")),
     "constrained_percent", "solver_percent", *COUNTS,
+    "camera", "pixels",
+    *(f"{error}_error_{unit}{kind}" for error in PIXEL_ERRORS for unit in ("px", "percent") for kind in ("", "_std")),
+    *(f"visibility_{which}_percent" for which in VISIBILITY),
 )  # fmt: skip
 _SOLVER_BITS = sum(1 << CONSTRAINTS.index(name) for name in ("proximity", "joint_limit"))
 
@@ -61,13 +68,61 @@ def viewpoint_rows(head: Row, records: list[ViewpointRecord]) -> list[Row]:
     }
     members = [subsets(record) for record in records]
     rows = [_row(common, name, records, [one[name] for one in members]) for name in SUBSETS]
+    rows[0] |= _visibility(*stacked_pixels(records, "projected_px"))
+    rows += [row for source in ("projected_px", "tags_px") for row in _pixel_rows(common, records, source)]
     for row in rows:
         row["rank_error"] = rows[0]["vva_deg"]
     return [row for row in rows if row["subset"] == "all" or row["samples"]]
 
 
+def stacked_pixels(records: list[ViewpointRecord], source: str) -> tuple[FloatArray, FloatArray]:
+    """Pixels ``(n, 2)`` of the left and the right camera of all samples, NaN where the feature was not seen.
+
+    Args:
+        records: Their steps are put in a row.
+        source: ``projected_px`` or ``tags_px``; samples without a picture are left out.
+    """
+    lists = [one for record in records for one in getattr(record.frames, source) if one is not None]
+    pixels = np.array(lists, dtype=np.float64).reshape(-1, 2, 2)
+    return pixels[:, 0], pixels[:, 1]
+
+
+def _visibility(left: FloatArray, right: FloatArray) -> Row:
+    return {
+        f"visibility_{which}_percent": None if np.isnan(share) else share
+        for which, share in visibility(left, right).items()
+    }
+
+
+def _pixel_rows(common: Row, records: list[ViewpointRecord], source: str) -> list[Row]:
+    """How far the feature was from the middle of the left picture, the right one, and any; trimmed as published."""
+    left, right = stacked_pixels(records, source)
+    if not len(left):
+        return []
+    table = centroid_table(left, right, (AUTOCAM_STEREO.left, AUTOCAM_STEREO.right))
+    rows = []
+    for camera in ("left", "right", "any"):
+        row: Row = {**dict.fromkeys(VIEWPOINT_COLUMNS), **common, "subset": "all", "samples": len(left)}
+        row |= {"camera": camera, "pixels": source.removesuffix("_px"), **_visibility(left, right)}
+        eye = {"left": table.left, "right": table.right}.get(camera)
+        for error in PIXEL_ERRORS:
+            spreads = {"percent": table.combined[error]} if eye is None else {}
+            if eye is not None:
+                spreads = {"px": eye.pixels[error], "percent": eye.percent[error]}
+            for unit, spread in spreads.items():
+                for suffix, value in (("", spread.mean), ("_std", spread.deviation)):
+                    row[f"{error}_error_{unit}{suffix}"] = None if np.isnan(value) else value
+        rows.append(row)
+    return rows
+
+
 def _row(common: Row, subset: str, records: list[ViewpointRecord], chosen: list[NDArray[np.bool_]]) -> Row:
-    row: Row = {**common, "subset": subset, "samples": int(sum(mask.sum() for mask in chosen))}
+    row: Row = {
+        **dict.fromkeys(VIEWPOINT_COLUMNS),
+        **common,
+        "subset": subset,
+        "samples": int(sum(mask.sum() for mask in chosen)),
+    }
     for error in ERRORS:
         summary = summarise(_by_trial(records, chosen, error))
         row |= {error: summary.mean, f"{error}_std": summary.std, f"{error}_sem": summary.sem}

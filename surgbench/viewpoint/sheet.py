@@ -14,12 +14,13 @@ from surgbench.report.rows import Row
 from surgbench.reproduce.figure import FIGURE_PNG
 from surgbench.reproduce.sheet import Sheet
 from surgbench.reproduce.work import RECORDS
-from surgbench.viewpoint.figures import Line, draw_paths, draw_timeline
-from surgbench.viewpoint.page import PATHS_PNG, page
+from surgbench.viewpoint.figures import Line, draw_centroids, draw_paths, draw_timeline
+from surgbench.viewpoint.page import CENTROIDS_PNG, PATHS_PNG, page
 from surgbench.viewpoint.plan import ViewpointSettings
-from surgbench.viewpoint.rows import COUNTS, ERRORS, VIEWPOINT_COLUMNS
+from surgbench.viewpoint.rows import COUNTS, ERRORS, VIEWPOINT_COLUMNS, stacked_pixels
 from surgbench.viewpoint.scores import NO_GO_TOLERANCE_M, naive_violations
 from surgbench.viewpoint.simulator import make_scene
+from surgbench.viewpoint.stereo import AUTOCAM_STEREO
 
 if TYPE_CHECKING:
     from surgbench.reproduce.table import Definition
@@ -74,7 +75,10 @@ def _draw(definition: Definition, blocks: Sequence[BlockWork], folder: Path) -> 
     title = f"{dataset.name}, trial {trial.id}: errors over time; bars: rules that speak against the naive pose"
     draw_timeline(lines, trial.dt_s, folder / FIGURE_PNG, title)
     draw_paths(lines, trial, make_scene(trial, registration=settings.registration), folder / PATHS_PNG)
-    return [FIGURE_PNG, PATHS_PNG]
+    clouds = [(line.label, *stacked_pixels([line.record], "projected_px")) for line in lines]
+    size = AUTOCAM_STEREO.left.width, AUTOCAM_STEREO.left.height
+    draw_centroids(clouds, *size, folder / CENTROIDS_PNG, f"{dataset.name}, trial {trial.id}: the ring in the pictures")
+    return [FIGURE_PNG, PATHS_PNG, CENTROIDS_PNG]
 
 
 def _no_traits(dataset: ViewpointDataset, sequence: str) -> Row:
@@ -83,7 +87,7 @@ def _no_traits(dataset: ViewpointDataset, sequence: str) -> Row:
 
 VIEWPOINT_SHEET = Sheet(
     columns=VIEWPOINT_COLUMNS,
-    settings=frozenset({"registration", "subset"}),
+    settings=frozenset({"registration", "subset", "camera", "pixels"}),
     errors=ERRORS,
     whole=(),
     counts=COUNTS,

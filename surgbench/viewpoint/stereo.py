@@ -7,7 +7,6 @@ about it (:class:`Mount`). As the camera's y axis points up when it is level, th
 
 from __future__ import annotations
 
-from functools import cached_property
 from typing import Annotated
 
 import numpy as np
@@ -29,7 +28,7 @@ class Mount(BaseModel):
     below the principal point, and ``f tan(-yaw)`` to its right.
 
     The authors' logs have the ring (+8, +37) px from the middle of the left picture and (-97, +33) px from that of the
-    right one, at 107.5 mm (medians). The principal points and the baseline account for (-8, -4) and (-103, +2) of
+    right one, at 107.5 mm (medians). The principal points and the baseline account for (-8, -4) and (-105, +2) of
     this; these two angles bring all four within 7 px.
     """
 
@@ -58,20 +57,20 @@ class StereoCamera(BaseModel):
     translation_m: Triple
     mount: Mount = Mount()
 
-    @cached_property
-    def T_left_right(self) -> FloatArray:
+    @property
+    def T_left_right(self) -> FloatArray:  # noqa: N802
         """``(4, 4)``: points of the right camera's frame in the left one's."""
         return rigid_transform(rotation_from_vector(np.array(self.rotation_rad)), np.array(self.translation_m))
 
-    @cached_property
-    def T_camera_left(self) -> FloatArray:
+    @property
+    def T_camera_left(self) -> FloatArray:  # noqa: N802
         """``(4, 4)``: points of the left camera's frame in that of the controlled point."""
         pitch = rotation_from_vector(np.array([self.mount.pitch_rad, 0.0, 0.0]))
         yaw = rotation_from_vector(np.array([0.0, self.mount.yaw_rad, 0.0]))
         return rigid_transform(pitch @ yaw, np.zeros(3))
 
-    @cached_property
-    def T_camera_right(self) -> FloatArray:
+    @property
+    def T_camera_right(self) -> FloatArray:  # noqa: N802
         """``(4, 4)``: points of the right camera's frame in that of the controlled point."""
         return np.asarray(self.T_camera_left @ self.T_left_right)
 
