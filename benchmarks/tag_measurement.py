@@ -10,7 +10,6 @@ Prints Markdown: cameras 9 to 12.5 cm from the ring that look at it up to 75 deg
 from __future__ import annotations
 
 import argparse
-import itertools
 import time
 from itertools import pairwise
 from pathlib import Path
@@ -74,11 +73,7 @@ def measure(rng: np.random.Generator, count: int) -> None:
     print("|---|---|---|---|---|---|")
     for name, values in rows.items():
         table = np.array(values)
-<<<<<<< HEAD
-        for low, high in itertools.pairwise(BANDS_DEG):
-=======
         for low, high in pairwise(BANDS_DEG):
->>>>>>> wt-cam
             band = table[(table[:, 0] >= low) & (table[:, 0] < high)]
             parts = [np.nanpercentile(band[:, column], [50, 90, 99]) for column in (1, 2)]
             cells = " | ".join(" / ".join(f"{value:.1f}" for value in part) for part in parts)
