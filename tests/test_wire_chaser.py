@@ -221,6 +221,28 @@ def test_reports_have_a_constant_error_noise_and_gaps() -> None:
     assert 0.01 < lost.mean() < 0.08
 
 
+@pytest.mark.parametrize(
+    "hand",
+    [
+        Hand(rest_share=(0.0, 0.0), resting_pace=0.0),
+        Hand(wobble_rad=(0.0, 0.0), twist_rad=0.0, tremor_m=0.0, lean=0.0),
+        Hand(speed_m_s=1e-6),
+        Hand(clutch_every_s=0.1, rest_share=(0.9, 0.9)),
+    ],
+)
+def test_the_steadiest_and_the_laziest_hands_make_whole_trials(hand: Hand) -> None:
+    trial = make_trial(ANY.model_copy(update={"hand": hand}), "000")
+    assert np.isfinite(true_poses(trial)).all()
+    assert trial.measured.all()
+    way = np.linalg.norm(np.diff(true_poses(trial)[:, :3, 3], axis=0), axis=1)
+    assert way.max() < 0.2 * trial.dt_s
+
+
+def test_a_ring_that_is_never_measured_makes_no_trial() -> None:
+    with pytest.raises(ConfigError, match="trial '000'"):
+        make_trial(ANY.model_copy(update={"measurement": Measurement(dropout=1.0), "tries": 300}), "000")
+
+
 # The camera arm, and how often it is constrained
 
 

@@ -212,7 +212,7 @@ def _rests(count: int, time_s: float, hand: Hand, rng: np.random.Generator) -> t
     """How long each of the rests between movements is, and which are with the clutch pressed."""
     clutched = np.zeros(count, dtype=bool)
     rests = np.zeros(count)
-    wanted = rng.poisson(time_s / (np.mean(hand.rest_share) * hand.clutch_every_s))
+    wanted = rng.poisson(max(time_s, 0.0) / max(np.mean(hand.rest_share) * hand.clutch_every_s, 1e-9))
     for place in rng.permutation(count)[:wanted]:
         pause = rng.uniform(*hand.clutch_s)
         # The hand does not only rest when it clutches.

@@ -22,6 +22,7 @@ from surgbench.viewpoint.trial import Trial, TrialTruth, Wire
 WIRES_PER_SCENE = 500
 # Ways of leading the ring along a wire that are tried.
 LEADS = 4
+MOST_PARTS = 4
 # Places of the wire at which the constraints are looked at, each with some tilts of the ring.
 LOOKED_AT, TILTS = 60, 2
 # What a share that is wrong by 1 lacks, where a wire that is 1 cm out of its box lacks 1.
@@ -106,11 +107,11 @@ class _World:
         return 1.0 if wire.tangent.mean(axis=0) @ self.towards >= 0 else -1.0
 
     def share(self, T_world_feature: FloatArray) -> float:
-        """Share of ``(T, 4, 4)`` poses, those measured, at which rules speak against the best pose."""
-        seen = T_world_feature[np.isfinite(T_world_feature).all(axis=(1, 2))]
-        pose = naive_pose(seen, self.preset.rules.distance_m)
-        found = violations(pose, seen[:, :3, 3], self.around.workspace, self.arm, self.around.registered)
-        return float(found.any.mean()) if len(seen) else 0.0
+        """Share of ``(T, 4, 4)`` poses at which rules speak against the best pose."""
+        pose = naive_pose(T_world_feature, self.preset.rules.distance_m)
+        place = T_world_feature[:, :3, 3]
+        found = violations(pose, place, self.around.workspace, self.arm, self.around.registered)
+        return float(found.any.mean())
 
     def lack(self, wire: WireShape) -> float:
         """By how much a wire, in the box, misses the wanted share, wherever on it the ring may rest."""
@@ -133,13 +134,14 @@ class _World:
         tool = tool_axes(wire, around.centre_m + TROCAR_M)
         # A part of the wire is not as constrained as the whole: where there is time for a part only, try more of them.
         parts = np.ceil(wire.length_m / stretch_m(wire, samples * preset.dt_s, preset.hand))
-        for _ in range(LEADS * int(parts) ** 2):
+        for _ in range(LEADS * int(min(parts, MOST_PARTS)) ** 2):
             travel = draw_travel(wire, samples, preset.dt_s, preset.hand, rng)
             motion = lead_ring(wire, side, tool, self.towards, travel, preset.dt_s, preset.wire, preset.hand, rng)
             reported = measure(motion.T_world_feature, preset.measurement, preset.dt_s, rng)
-            if not low <= self.share(reported) <= high:
+            seen = reported[np.isfinite(reported).all(axis=(1, 2))]
+            if not len(seen) or not low <= self.share(seen) <= high:
                 continue
-            first = reported[int(np.argmax(np.isfinite(reported).all(axis=(1, 2))))]
+            first = seen[0]
             start = rest(first, preset.rules.distance_m, around.workspace, self.arm, around.registered)
             if start is not None:
                 return self._assemble(trial_id, wire, motion, reported, start)
