@@ -16,6 +16,8 @@ demo: $(SETUP)
 	$(BIN)/surgbench run --dataset $(DEMO)/mini --suite demo --out $(DEMO)/runs
 	$(BIN)/surgbench report $(DEMO)/runs --format markdown --out $(DEMO)/leaderboard.md
 	$(BIN)/surgbench video $(DEMO)/runs --frames 4 --samples --out $(DEMO)/pictures
+	$(BIN)/surgbench generate wire-chaser-mini --out $(DEMO)/chaser
+	$(BIN)/surgbench run --dataset $(DEMO)/chaser --tracker gaze --tracker autocam --out $(DEMO)/chaser-runs
 	@echo "overlay picture: $(DEMO)/pictures/000-left.png   table: $(DEMO)/leaderboard.md"
 
 test: lint types unit wheel-test
@@ -43,7 +45,7 @@ wheel-test: $(SETUP)
 		../../../tests/test_run.py::test_the_papers_tracker_follows_the_mini_dataset
 
 # Types are checked once more, for with the extras there is more to check against.
-EXTRAS_TESTS := autograd instrument optimisers reproduce silhouette_torch turbo
+EXTRAS_TESTS := autograd instrument optimisers reproduce silhouette_torch turbo viewpoint_run
 extras-test: $(EXTRAS)
 	$(BIN)/mypy
 	$(BIN)/python -m pytest -q $(EXTRAS_TESTS:%=tests/test_%.py)
