@@ -17,7 +17,7 @@ from surgbench.viewpoint.camera_arm import CameraArm
 from surgbench.viewpoint.contract import ViewCommand, ViewpointObservation, ViewpointScene
 from surgbench.viewpoint.execution import JointServo
 from surgbench.viewpoint.placement import naive_pose
-from surgbench.viewpoint.scores import course_errors, naive_violations, no_go_depth, view_errors
+from surgbench.viewpoint.scores import course_errors, depths, naive_violations, view_errors
 from surgbench.viewpoint.simulator import Course, InvalidCommandError, Simulation, make_scene
 from surgbench.viewpoint.trial import Trial
 
@@ -210,9 +210,9 @@ def test_commanding_the_zone_is_seen() -> None:
     scene = make_scene(trial)
     into = naive_pose(feature_poses(np.array([0.0, 0.0, 0.02]), np.array([0.6, -0.2, 0.7])), 0.01)
     course = simulate(lambda observation, scene: into, trial)
-    assert no_go_depth(course, scene).min() > 1e-3
+    assert depths(course, trial, scene)["no_go_depth_m"].min() > 1e-3
     away = simulate(lambda observation, scene: observation.setpoint, trial)
-    assert no_go_depth(away, scene).max() < 0
+    assert depths(away, trial, scene)["no_go_depth_m"].max() < 0
 
 
 def test_an_arm_that_starts_outside_its_limits_is_an_error() -> None:

@@ -163,7 +163,7 @@ def test_gradient_of_the_objective(joints: FloatArray, offset: FloatArray, shift
     for joint, axis in enumerate(np.eye(6) * step):
         ahead, here, behind = (solver.objective(points, joints + k * axis, nothing) for k in (1, 0, -1))
         slopes = (ahead - here) / step, (here - behind) / step
-        assume(abs(slopes[0] - slopes[1]) < 1e-3)  # not where |x.w| has its corner
+        assume(abs(slopes[0] - slopes[1]) < 3e-5 * (1 + np.abs(gradient).max()))  # not where |x.w| has its corner
         assert gradient[joint] == pytest.approx(sum(slopes) / 2, abs=1e-6 + 1e-4 * np.abs(gradient).max())
 
 
@@ -566,7 +566,7 @@ def test_no_world_brings_them_beyond_the_limits(name: str, seed: int) -> None:
             assert not course.clipped.any()
 
 
-@pytest.mark.parametrize("name", CONTROLLERS[1:])
+@pytest.mark.parametrize("name", [*CONTROLLERS[1:], "gaze"])
 @pytest.mark.parametrize("value", [np.nan, np.inf, 1e300, 0.0])
 def test_a_feature_that_is_none_holds_the_set_point(name: str, value: float) -> None:
     scene = scene_of(feature_at())

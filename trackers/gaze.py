@@ -33,6 +33,8 @@ class GazeConfig(BaseModel):
     pole_deg: Annotated[NotNegative, Field(description="kept from straight above, where no direction is level")] = 3.0
 
 
+# A feature that is farther away, or nowhere, is not looked at.
+FARTHEST_M = 1e3
 # Tolerances: gaze (rad), level (rad), distance (m), place (m), rules (m), and Huber's threshold for the place.
 GOAL = 1 / np.array([5e-3, 2e-3, 3e-3, 1e-2, 3e-4, 1.0])
 STEP = 1 / np.array([2e-4, 5e-4, 1e-3, np.inf, 2e-4, 1.0])
@@ -79,15 +81,21 @@ class Gaze(ViewpointTracker):
         ])  # fmt: skip
         self._iterations = np.array([config.goal_iterations, config.step_iterations], dtype=np.float64)
         self._motion: FloatArray | None = None
+        self._index = -1
         self._goal, self._last = np.array(joints), np.array(joints)
         self._dt_s = scene.dt_s
 
     def step(self, observation: ViewpointObservation) -> ViewCommand:
         """The set point of the next step and its velocity."""
+        normal = observation.T_world_feature[:3, 1]
+        # Written so that NaN holds the set point, too.
+        if not (np.abs(observation.T_world_feature).max() < FARTHEST_M and 0.5 < normal @ normal < 2.0):
+            return ViewCommand(observation.setpoint.copy())
         pose = self._T_base_world @ observation.T_world_feature
-        if self._motion is None:
+        if self._motion is None or observation.index != self._index + 1:  # the first, or after a gap
             still = np.zeros(3)
             self._motion = np.array([pose[:3, 3], still, pose[:3, 1], still])
+        self._index = observation.index
         target = np.empty(6)
         way = advance(
             self._arm, self._reach_m, self._limits, self._options, GOAL, STEP, self._iterations, self._rules,

@@ -122,9 +122,7 @@ def rest(
             poses = np.concatenate([naive_pose(T_world_feature, distance_m)[None], poses])
         found = violations(poses, np.broadcast_to(feature, (len(poses), 3)), workspace, arm, T_world_base)
         if not found.any.all():
-            joints = arm.inverse(inverse_transform(T_world_base) @ poses[int(np.argmin(found.any))])
-            joints[3] -= 2 * np.pi * (joints[3] > arm.upper[3])
-            return arm.clip(joints)
+            return arm.clip(arm.inverse(inverse_transform(T_world_base) @ poses[int(np.argmin(found.any))]))
     return None
 
 

@@ -124,6 +124,8 @@ class ViewpointFrames(AnyFrames):
         rules: Those that speak against the naive pose, the same for all controllers.
         limit_violation: Whether the set point lay outside the joint limits.
         no_go_depth_m: How deep in the no-go zone the commanded camera was; negative outside.
+        floor_depth_m: How far below the floor; negative above.
+        proximity_m: How much too near the feature; negative where it was not.
         latency_ms: What the step took.
         projected_px: u and v of the feature in the left and the right picture, ``None`` where it is outside.
         tags_px: The same as found by the tags in rendered pictures; ``None`` where no picture was taken.
@@ -138,6 +140,8 @@ class ViewpointFrames(AnyFrames):
     rules: list[int] = []
     limit_violation: list[bool] = []
     no_go_depth_m: list[float] = []
+    floor_depth_m: list[float] = []
+    proximity_m: list[float] = []
     projected_px: list[list[Number]] = []
     tags_px: list[list[Number] | None] = []
     latency_ms: list[Number] = []

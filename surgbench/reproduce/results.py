@@ -81,9 +81,9 @@ def derive(definition: Definition, blocks: Sequence[BlockWork], out: Path, quick
                 }
                 _count(made_in, content)
             timing = [record for record, content in _read(out / TIMING, one.timing) if _count(timed_in, content)]
-            timed = derive_rows(timing)[0] if timing else {}
-            latencies = {column: timed[column] for column in sheet.latencies if timed}
+            timed = {_part(row): row for row in derive_rows(timing)} if timing else {}
             for row in derive_rows(read):
+                latencies = {column: timed[_part(row)][column] for column in sheet.latencies if _part(row) in timed}
                 rows.append({**row, "block": work.block.name, "label": one.row.label, **latencies})
     about = {
         "format": FORMAT,
@@ -115,6 +115,11 @@ def _count(environments: dict[str, dict[str, Any]], record: dict[str, Any]) -> b
     entry = environments.setdefault(canonical_json(environment), {**environment, "records": 0})
     entry["records"] += 1
     return True
+
+
+def _part(row: Row) -> tuple[Any, ...]:
+    """Which of a row id's rows it is."""
+    return tuple(row.get(key) for key in ("subset", "camera", "pixels"))
 
 
 def csv_text(rows: Sequence[Row], columns: Sequence[str]) -> str:

@@ -68,7 +68,7 @@ def plan_block(table: Table, block: Block, dataset: AnyDataset, quick: bool) -> 
 def _timed(asked: Row, timing: Timing) -> Row:
     runs = min(asked.sequences or timing.runs, timing.runs)
     frames = min(asked.frames or timing.frames, timing.frames)
-    return asked.model_copy(update={"sequences": runs, "frames": frames})
+    return asked.model_copy(update={"sequences": runs, "frames": frames, "photographs_hz": 0.0})
 
 
 def do_work(

@@ -110,7 +110,6 @@ class Settings:
         sequences: How many of the dataset's units are run; ``None`` for all. Which ones are run changes no estimate,
             so that it is no part of the specification: a slice's records are those of the whole.
         frames_limit: How many frames of each unit are run; ``None`` where all units are run to their end.
-        view: The auxiliary view, if there is one.
     """
 
     row_id: str

@@ -17,10 +17,11 @@ from surgbench.suite.plan import Job
 from surgbench.viewpoint.contract import ViewpointScene
 from surgbench.viewpoint.pictures import Pictures
 from surgbench.viewpoint.plan import ViewpointSettings
-from surgbench.viewpoint.scores import course_errors, naive_violations, no_go_depth
+from surgbench.viewpoint.scores import course_errors, depths, naive_violations
 from surgbench.viewpoint.simulator import Course, make_scene
 from surgbench.viewpoint.trial import Trial
 from surgbench.viewpoint.worker import ViewpointSetup
+from surgbench.viewpoint.workspace import NoGoZone
 
 if TYPE_CHECKING:
     from surgbench.dataset.open import AnyDataset
@@ -98,7 +99,10 @@ def execute_viewpoint(
 def measure(course: Course, trial: Trial, scene: ViewpointScene, pictures: Pictures) -> dict[str, Any]:
     """What a record keeps of a course: ``frames``, ``errors``."""
     count = len(course.goals)
-    rules = naive_violations(trial, scene, count).stacked()
+    # With the whole zone, whatever the controller was told of it.
+    zone = NoGoZone(scene.workspace.zone.points)
+    rules_of = replace(scene, workspace=replace(scene.workspace, zone=zone))
+    rules = naive_violations(trial, rules_of, count).stacked()
     frames = {
         "index": list(range(count)),
         "joints": np.round(course.joints[1:], JOINT_DECIMALS).tolist(),
@@ -109,7 +113,7 @@ def measure(course: Course, trial: Trial, scene: ViewpointScene, pictures: Pictu
         "active": _bits(course.active),
         "rules": _bits(rules),
         "limit_violation": (~scene.arm.within_limits(course.setpoints[1:], 1e-9)).tolist(),
-        "no_go_depth_m": np.round(no_go_depth(course, scene), JOINT_DECIMALS).tolist(),
+        **{name: np.round(one, JOINT_DECIMALS).tolist() for name, one in depths(course, trial, rules_of).items()},
         "latency_ms": _numbers(course.latency_ms),
         **pictures.pixels(course, trial, scene),
     }

@@ -50,7 +50,9 @@ class Line:
 
 
 def draw_timeline(lines: Sequence[Line], dt_s: float, path: Path, title: str) -> None:
-    """Errors over time, and bars where a rule speaks against the naive pose.
+    """Errors over time, and bars for the rules that were active in the view of the first controller.
+
+    Of one that tells of none, bars are for those that speak against the naive pose.
 
     Args:
         lines: Of one trial.
@@ -58,14 +60,19 @@ def draw_timeline(lines: Sequence[Line], dt_s: float, path: Path, title: str) ->
         path: PNG to write.
         title: Over the figure.
     """
-    figure, axes = _figure(15, 11, len(PANELS), 1, sharex=True)
+    first = lines[0].record.frames
+    bars = first.active if any(first.active) else first.rules
+    title += (
+        f"; bars: rules active for '{lines[0].label}'" if any(first.active) else "; bars: rules against the naive pose"
+    )
+    figure, axes = _figure(15, 12, len(PANELS), 1, sharex=True)
     for panel, (name, error) in zip(axes, PANELS, strict=True):
         for colour, line in zip(COLOURS, lines, strict=False):
             values = line.record.errors[error]
             panel.plot(dt_s * np.arange(len(values)), values, color=colour, lw=0.9, label=line.label)
         panel.set_ylabel(name)
         panel.set_ylim(bottom=0)
-        _bars(panel, np.array(lines[0].record.frames.rules, dtype=int), dt_s)
+        _bars(panel, np.array(bars, dtype=int), dt_s)
         panel.margins(x=0.005)
     axes[-1].set_xlabel("time [s]")
     handles, labels = axes[0].get_legend_handles_labels()
@@ -80,8 +87,8 @@ def _bars(panel: Axes, rules: Any, dt_s: float) -> None:
         edges = np.flatnonzero(np.diff(np.concatenate([[0], active, [0]])))
         spans = [(dt_s * a, dt_s * (b - a)) for a, b in edges.reshape(-1, 2)]
         transform = panel.get_xaxis_transform()
-        panel.broken_barh(spans, (1.01 + 0.03 * bit, 0.025), color=colour, clip_on=False, transform=transform, lw=0)
-        panel.text(1.004, 1.01 + 0.03 * bit, name, transform=panel.transAxes, color=colour, fontsize=5, va="bottom")
+        panel.broken_barh(spans, (1.02 + 0.075 * bit, 0.05), color=colour, clip_on=False, transform=transform, lw=0)
+        panel.text(1.004, 1.01 + 0.075 * bit, name, transform=panel.transAxes, color=colour, fontsize=7, va="bottom")
 
 
 def draw_paths(lines: Sequence[Line], trial: Trial, scene: ViewpointScene, path: Path) -> None:
@@ -103,6 +110,7 @@ def draw_paths(lines: Sequence[Line], trial: Trial, scene: ViewpointScene, path:
         panel.set_title(line.label, fontsize=10)
         panel.set(xlabel="x [mm]", ylabel="y [mm]", zlabel="z [mm]")
         panel.set_aspect("equal")
+        panel.set_box_aspect(None, zoom=0.8)  # so that no label is cut off
         panel.view_init(elev=22, azim=-60)
     for panel in np.ravel(axes)[len(lines) :]:
         panel.set_visible(False)

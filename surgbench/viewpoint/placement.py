@@ -94,8 +94,8 @@ class Violations:
 
     @property
     def solver(self) -> NDArray[np.bool_]:
-        """Those which AutoCam gives to its constrained optimiser: too near, or out of reach."""
-        return np.asarray(self.proximity | self.joint_limit)
+        """Those for which AutoCam needs its constrained optimiser: on the right side, but too near or out of reach."""
+        return np.asarray((self.proximity | self.joint_limit) & ~self.orientation)
 
     def stacked(self) -> NDArray[np.bool_]:
         """``(..., 5)`` in the order of :data:`CONSTRAINTS`."""
@@ -120,8 +120,6 @@ def violations(
     orientation = workspace.wrong_side(T_world_camera)
     raised = np.linalg.norm(workspace.zone.project_to_top(position) - feature_m, axis=-1)
     joints = arm.inverse(inverse_transform(T_world_base) @ T_world_camera)
-    # The roll is free to be a turn off.
-    joints[..., 3] = np.where(joints[..., 3] > arm.upper[3], joints[..., 3] - 2 * np.pi, joints[..., 3])
     return Violations(
         no_go=np.asarray(no_go),
         floor=np.asarray(floor),

@@ -1,8 +1,9 @@
 """Rows of the leaderboard for the viewpoint task: one for every subset of the samples.
 
 The subsets are those of the naive pose, and so the same samples for all controllers: ``constrained`` where any rule
-speaks against it, ``unconstrained`` where none does, ``solver`` where it is out of the arm's reach or, moved out of the
-no-go zone, too near. Samples at which the feature was not measured belong to none.
+speaks against it, ``unconstrained`` where none does, ``solver`` where it is on the right side, but out of the arm's
+reach or, moved out of the no-go zone, too near. ``optimised`` alone is the controller's own: the samples in which it
+says that it optimised. Samples at which the feature was not measured belong to none.
 """
 
 from __future__ import annotations
@@ -15,17 +16,18 @@ from numpy.typing import NDArray
 from surgbench.geometry import FloatArray
 from surgbench.metrics import summarise
 from surgbench.report.records import ViewpointRecord
-from surgbench.report.rows import COMMON_COLUMNS, Row, pooled
+from surgbench.report.rows import COMMON_COLUMNS, Row
 from surgbench.viewpoint.centroids import ERRORS as PIXEL_ERRORS
 from surgbench.viewpoint.centroids import centroid_table, visibility
 from surgbench.viewpoint.placement import CONSTRAINTS
 from surgbench.viewpoint.scores import NO_GO_TOLERANCE_M, POSE_ERRORS, SIGNED, TRUE_ERRORS
 from surgbench.viewpoint.stereo import AUTOCAM_STEREO
 
-SUBSETS = ("all", "unconstrained", "constrained", "solver")
+SUBSETS = ("all", "unconstrained", "constrained", "solver", "optimised")
 ERRORS = (*POSE_ERRORS, SIGNED, *TRUE_ERRORS)
 VISIBILITY = ("left", "right", "any", "both")
-COUNTS = ("limit_violations", "clipped_commands", "no_go_violations")
+LATENCIES = ("latency_ms", "latency_ms_p95", "latency_ms_mean", "latency_ms_std", "latency_ms_p999")
+COUNTS = ("limit_violations", "clipped_commands", "no_go_violations", "floor_violations", "proximity_violations")
 VIEWPOINT_COLUMNS = (
     *COMMON_COLUMNS,
     "latency_ms_mean", "latency_ms_std", "latency_ms_p999",
@@ -36,6 +38,7 @@ VIEWPOINT_COLUMNS = (
     *(f"{error}_error_{unit}{kind}" for error in PIXEL_ERRORS for unit in ("px", "percent") for kind in ("", "_std")),
     *(f"visibility_{which}_percent" for which in VISIBILITY),
 )  # fmt: skip
+_ORIENTATION_BIT = 1 << CONSTRAINTS.index("orientation")
 _SOLVER_BITS = sum(1 << CONSTRAINTS.index(name) for name in ("proximity", "joint_limit"))
 
 
@@ -46,7 +49,8 @@ def subsets(record: ViewpointRecord) -> dict[str, NDArray[np.bool_]]:
         "all": asked,
         "unconstrained": asked & (rules == 0),
         "constrained": asked & (rules != 0),
-        "solver": asked & ((rules & _SOLVER_BITS) != 0),
+        "solver": asked & ((rules & _SOLVER_BITS) != 0) & ((rules & _ORIENTATION_BIT) == 0),
+        "optimised": asked & np.array(record.frames.solver, dtype=bool),
     }
 
 
@@ -57,12 +61,8 @@ def viewpoint_rows(head: Row, records: list[ViewpointRecord]) -> list[Row]:
         head: Columns that do not depend on the subset.
         records: Of one row id and settings.
     """
-    latency = pooled(records, "latency_ms")
     common: Row = {
         **head,
-        "latency_ms_mean": float(latency.mean()) if latency.size else None,
-        "latency_ms_std": float(latency.std(ddof=1)) if latency.size > 1 else None,
-        "latency_ms_p999": float(np.percentile(latency, 99.9)) if latency.size else None,
         "registration": records[0].spec.registration,
         "missing_face": records[0].spec.missing_face,
     }
@@ -103,6 +103,7 @@ def _pixel_rows(common: Row, records: list[ViewpointRecord], source: str) -> lis
     rows = []
     for camera in ("left", "right", "any"):
         row: Row = {**dict.fromkeys(VIEWPOINT_COLUMNS), **common, "subset": "all", "samples": len(left)}
+        row |= dict.fromkeys(LATENCIES)
         row |= {"camera": camera, "pixels": source.removesuffix("_px"), **_visibility(left, right)}
         eye = {"left": table.left, "right": table.right}.get(camera)
         for error in PIXEL_ERRORS:
@@ -126,12 +127,27 @@ def _row(common: Row, subset: str, records: list[ViewpointRecord], chosen: list[
     for error in ERRORS:
         summary = summarise(_by_trial(records, chosen, error))
         row |= {error: summary.mean, f"{error}_std": summary.std, f"{error}_sem": summary.sem}
+    row |= _latencies(records, chosen)
     row["constrained_percent"] = _percent([np.array(r.frames.rules, dtype=int) != 0 for r in records], chosen)
     row["solver_percent"] = _percent([np.array(r.frames.solver, dtype=bool) for r in records], chosen)
-    row["limit_violations"] = _count([np.array(r.frames.limit_violation, dtype=bool) for r in records], chosen)
-    row["clipped_commands"] = _count([np.array(r.frames.clipped, dtype=bool) for r in records], chosen)
-    row["no_go_violations"] = _count([np.array(r.frames.no_go_depth_m) > NO_GO_TOLERANCE_M for r in records], chosen)
+    counts = [counted(record, mask) for record, mask in zip(records, chosen, strict=True)]
+    row |= {name: sum(count[name] for count in counts) for name in COUNTS}
     return row
+
+
+def _latencies(records: list[ViewpointRecord], chosen: list[NDArray[np.bool_]]) -> Row:
+    parts = [np.array(r.frames.latency_ms, dtype=np.float64)[m] for r, m in zip(records, chosen, strict=True) if len(m)]
+    latency = np.concatenate([*parts, np.empty(0)])
+    latency = latency[~np.isnan(latency)]
+    if not latency.size:
+        return dict.fromkeys(LATENCIES)
+    return {
+        "latency_ms": float(np.median(latency)),
+        "latency_ms_p95": float(np.percentile(latency, 95)),
+        "latency_ms_mean": float(latency.mean()),
+        "latency_ms_std": float(latency.std(ddof=1)) if latency.size > 1 else None,
+        "latency_ms_p999": float(np.percentile(latency, 99.9)),
+    }
 
 
 def _by_trial(records: list[ViewpointRecord], chosen: list[NDArray[np.bool_]], error: str) -> list[list[FloatArray]]:
@@ -142,10 +158,20 @@ def _by_trial(records: list[ViewpointRecord], chosen: list[NDArray[np.bool_]], e
     return list(trials.values())
 
 
-def _count(flags: list[Any], chosen: list[NDArray[np.bool_]]) -> int:
-    return int(sum(values[mask].sum() for values, mask in zip(flags, chosen, strict=True) if len(values)))
+def counted(record: ViewpointRecord, chosen: NDArray[np.bool_]) -> dict[str, int]:
+    """How many of a record's chosen samples (``(T,)``) break each rule; keys are ``COUNTS``."""
+    frames = record.frames
+    flags = {
+        "limit_violations": np.array(frames.limit_violation, dtype=bool),
+        "clipped_commands": np.array(frames.clipped, dtype=bool),
+        "no_go_violations": np.array(frames.no_go_depth_m) > NO_GO_TOLERANCE_M,
+        "floor_violations": np.array(frames.floor_depth_m) > NO_GO_TOLERANCE_M,
+        "proximity_violations": np.array(frames.proximity_m) > NO_GO_TOLERANCE_M,
+    }
+    return {name: int(values[chosen].sum()) if len(values) else 0 for name, values in flags.items()}
 
 
 def _percent(flags: list[Any], chosen: list[NDArray[np.bool_]]) -> float | None:
     total = sum(int(mask.sum()) for mask in chosen)
-    return 100.0 * _count(flags, chosen) / total if total else None
+    counted = sum(int(values[mask].sum()) for values, mask in zip(flags, chosen, strict=True) if len(values))
+    return 100.0 * counted / total if total else None

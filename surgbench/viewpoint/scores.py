@@ -97,13 +97,20 @@ def naive_violations(trial: Trial, scene: ViewpointScene, steps: int | None = No
     return violations(pose, feature[:, :3, 3], scene.workspace, scene.arm, scene.T_world_base)
 
 
-def no_go_depth(course: Course, scene: ViewpointScene) -> FloatArray:
-    """How deep in the no-go zone the commanded camera was at each step, ``(T,)`` metres, negative outside.
+def depths(course: Course, trial: Trial, scene: ViewpointScene) -> dict[str, FloatArray]:
+    """How far the commanded camera was beyond each rule of place at each step, metres, negative where it was not.
 
-    Of the controller's goal and of the set point on the way there, the deeper one.
+    Of the controller's goal and of the set point on the way there, the worse one.
+
+    Returns:
+        ``no_go_depth_m``, ``floor_depth_m`` and ``proximity_m``, each ``(T,)``.
     """
-    depths = [
-        scene.workspace.zone.depth((scene.T_world_base @ scene.arm.forward(joints))[:, :3, 3])
-        for joints in (course.goals, course.setpoints[1:])
-    ]
-    return np.asarray(np.maximum(*depths))
+    workspace = scene.workspace
+    feature = np.nan_to_num(trial.T_world_feature[: len(course.goals), :3, 3])
+    found = []
+    for joints in (course.goals, course.setpoints[1:]):
+        place = (scene.T_world_base @ scene.arm.forward(joints))[:, :3, 3]
+        near = workspace.proximity_m - np.linalg.norm(place - feature, axis=1)
+        found.append([workspace.zone.depth(place), workspace.below_floor(place), near])
+    names = ("no_go_depth_m", "floor_depth_m", "proximity_m")
+    return {name: np.maximum(*pair) for name, pair in zip(names, zip(*found, strict=True), strict=True)}

@@ -17,8 +17,8 @@ from surgbench.reproduce.work import RECORDS
 from surgbench.viewpoint.figures import Line, draw_centroids, draw_paths, draw_timeline
 from surgbench.viewpoint.page import CENTROIDS_PNG, PATHS_PNG, page
 from surgbench.viewpoint.plan import ViewpointSettings
-from surgbench.viewpoint.rows import COUNTS, ERRORS, VIEWPOINT_COLUMNS, stacked_pixels
-from surgbench.viewpoint.scores import NO_GO_TOLERANCE_M, naive_violations
+from surgbench.viewpoint.rows import COUNTS, ERRORS, VIEWPOINT_COLUMNS, counted, stacked_pixels
+from surgbench.viewpoint.scores import naive_violations
 from surgbench.viewpoint.simulator import make_scene
 from surgbench.viewpoint.stereo import AUTOCAM_STEREO
 
@@ -46,12 +46,7 @@ def _describe(dataset: ViewpointDataset, frames: int) -> dict[str, Any]:
 
 
 def _count(record: ViewpointRecord) -> Row:
-    frames = record.frames
-    return {
-        "limit_violations": sum(frames.limit_violation),
-        "clipped_commands": sum(frames.clipped),
-        "no_go_violations": sum(depth > NO_GO_TOLERANCE_M for depth in frames.no_go_depth_m),
-    }
+    return {**counted(record, np.array(record.frames.asked, dtype=bool))}
 
 
 def _draw(definition: Definition, blocks: Sequence[BlockWork], folder: Path) -> list[str]:
@@ -72,7 +67,7 @@ def _draw(definition: Definition, blocks: Sequence[BlockWork], folder: Path) -> 
     if settings is None:
         return []
     trial = dataset.trial(lines[0].record.spec.sequence)
-    title = f"{dataset.name}, trial {trial.id}: errors over time; bars: rules that speak against the naive pose"
+    title = f"{dataset.name}, trial {trial.id}: errors over time"
     draw_timeline(lines, trial.dt_s, folder / FIGURE_PNG, title)
     draw_paths(lines, trial, make_scene(trial, registration=settings.registration), folder / PATHS_PNG)
     clouds = [(line.label, *stacked_pixels([line.record], "projected_px")) for line in lines]
