@@ -68,6 +68,9 @@ def test_rows_are_of_subsets_that_make_up_the_whole(runs: Path) -> None:
     assert whole["constrained_percent"] == pytest.approx(100 * bound["samples"] / whole["samples"])
     assert set(VIEWPOINT_COLUMNS) <= set(whole)
     assert whole["no_go_violations"] == whole["limit_violations"] == whole["clipped_commands"] == 0
+    own = [record["frames"] for record in records(runs) if record["spec"]["row_id"] == "gaze"]
+    times = np.concatenate([np.array(frames["latency_ms"])[np.array(frames["rules"]) != 0] for frames in own])
+    assert bound["latency_ms_mean"] == pytest.approx(times.mean())
     for record in records(runs):
         depths = np.array(record["frames"]["no_go_depth_m"])
         assert record["spec"]["row_id"] != "gaze" or (depths < NO_GO_TOLERANCE_M).all()
