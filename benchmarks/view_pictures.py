@@ -16,22 +16,12 @@ import cv2
 import numpy as np
 
 from surgbench.camera import Camera
-from surgbench.generators.sections import AUTOCAM_CAMERA
 from surgbench.geometry import FloatArray, inverse_transform, rigid_transform
 from surgbench.report.drawing import Picture, below, beside, heading, save_png, scaled
+from surgbench.viewpoint.stereo import AUTOCAM_STEREO
 from surgbench.viewpoint.video import ConsoleSettings, ConsoleView, StereoPicture, fusing_separation_px, join
 
-LEFT = AUTOCAM_CAMERA.model_copy(update={"distortion": (0.19200, -0.55520, 0.003479, -0.001754, 0.46844)})
-RIGHT = Camera(
-    width=512,
-    height=384,
-    fx=396.165,
-    fy=395.569,
-    cx=250.865,
-    cy=193.999,
-    distortion=(0.26822, -0.80736, 0.005358, -0.005432, 0.77761),
-)
-BASELINE_M = 0.0265
+LEFT, RIGHT, BASELINE_M = AUTOCAM_STEREO.left, AUTOCAM_STEREO.right, AUTOCAM_STEREO.baseline_m
 # A da Vinci endoscope at the size of the article's capture; its focal length and baseline are assumed.
 ENDOSCOPE = Camera(width=1400, height=986, fx=1500, fy=1500, cx=700, cy=493)
 ENDOSCOPE_BASELINE_M = 0.005

@@ -10,6 +10,7 @@ from surgbench.camera import Camera
 from surgbench.config import Section
 from surgbench.errors import SurgbenchError
 from surgbench.registry import find
+from surgbench.viewpoint.stereo import AUTOCAM_STEREO
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -54,7 +55,7 @@ class Kinematics(Section):
 
 # The left one of AutoCam's stereo pair at the size at which it is used (arXiv 2505.10398, published calibration). Masks
 # are those of its undistorted picture.
-AUTOCAM_CAMERA = Camera(width=512, height=384, fx=387.365, fy=385.763, cx=247.653, cy=187.991)
+AUTOCAM_CAMERA: Camera = AUTOCAM_STEREO.left.model_copy(update={"distortion": ()})
 
 
 class Auxiliary(Section):

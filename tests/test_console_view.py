@@ -17,6 +17,7 @@ from surgbench.errors import ConfigError, SurgbenchError
 from surgbench.geometry import FloatArray
 from surgbench.report.drawing import Picture
 from surgbench.undistortion import Undistortion
+from surgbench.viewpoint.stereo import AUTOCAM_STEREO
 from surgbench.viewpoint.video import (
     KERNEL_PX,
     SIGMA_PX,
@@ -30,25 +31,7 @@ from surgbench.viewpoint.video import (
     shift,
 )
 
-# The stereo camera of the article's code.
-LEFT = Camera(
-    width=512,
-    height=384,
-    fx=387.365,
-    fy=385.763,
-    cx=247.653,
-    cy=187.991,
-    distortion=(0.19200, -0.55520, 0.003479, -0.001754, 0.46844),
-)
-RIGHT = Camera(
-    width=512,
-    height=384,
-    fx=396.165,
-    fy=395.569,
-    cx=250.865,
-    cy=193.999,
-    distortion=(0.26822, -0.80736, 0.005358, -0.005432, 0.77761),
-)
+LEFT, RIGHT = AUTOCAM_STEREO.left, AUTOCAM_STEREO.right
 IDEAL = Camera(width=512, height=384, fx=390.0, fy=390.0, cx=250.0, cy=190.0)
 
 
