@@ -6,6 +6,7 @@ import hashlib
 import json
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,6 @@ from surgbench.generators.auxiliary import (
     auxiliary_paths,
     endoscope_pose,
     feature_poses,
-    naive_pose,
     report,
 )
 from surgbench.generators.generate import Part, generate, plan_dataset
@@ -32,18 +32,20 @@ from surgbench.generators.sections import Auxiliary
 from surgbench.generators.sequence import make_tables
 from surgbench.geometry import FloatArray, inverse_transform, rotation_angle
 from surgbench.instrument import load_instrument
+from surgbench.registry import create, find
 from surgbench.report.records import read_records
 from surgbench.report.rows import derive_rows
 from surgbench.silhouette import SilhouetteEvaluator
 from surgbench.suite.execute import UnitData
 from surgbench.suite.plan import Protocol, Row, complete
 from surgbench.suite.replay import replay_traces
+from surgbench.viewpoint.scores import view_errors
 
 SMALL = Camera(width=175, height=123, fx=226.5, fy=224.0, cx=73.2, cy=59.3)
 SIDE = Camera(width=128, height=96, fx=96.8, fy=96.4, cx=61.9, cy=47.0)
-FEW = Preset(name="few", pairs=1, frames=4, camera=SMALL, auxiliary=Auxiliary(camera=SIDE))
-OBSERVED = "sequences/000/views/naive/observations.parquet"
-POSES = "truth/000/views/naive/poses.parquet"
+FEW = Preset(name="few", pairs=1, frames=4, camera=SMALL, auxiliary=Auxiliary(camera=SIDE, views=("static", "gaze")))
+OBSERVED = "sequences/000/views/gaze/observations.parquet"
+POSES = "truth/000/views/gaze/poses.parquet"
 
 
 @pytest.fixture(scope="module")
@@ -67,16 +69,6 @@ def path() -> FloatArray:
 # --- where the cameras are
 
 
-def test_the_geometric_pose_looks_back_along_the_normal_from_the_distance(path: FloatArray) -> None:
-    places, normals = path[:, :3, 3], path[:, :3, 1]
-    cameras = naive_pose(places, normals, 0.11)
-    in_view = np.einsum("tij,tj->ti", inverse_transform(cameras)[:, :3, :3], places - cameras[:, :3, 3])
-    np.testing.assert_allclose(in_view, np.tile([0, 0, 0.11], (len(path), 1)), atol=1e-12)
-    np.testing.assert_allclose(cameras[:, 2, 0], 0.0, atol=1e-12)  # level
-    np.testing.assert_allclose(np.linalg.det(cameras[:, :3, :3]), 1.0)
-    assert np.isfinite(naive_pose(np.zeros(3), np.array([0.0, 0.0, 1.0]), 0.11)).all()
-
-
 def test_what_is_followed_lies_between_the_jaws_and_its_normal_is_towards_the_camera_arm(path: FloatArray) -> None:
     instrument = load_instrument("large_needle_driver")
     states = make_tables(FEW, plan_dataset(FEW).sequences[0], instrument, SMALL).states[:, 1]
@@ -91,16 +83,18 @@ def test_what_is_followed_lies_between_the_jaws_and_its_normal_is_towards_the_ca
     assert path[:, :3, 1].mean(axis=0) @ REMOTE_CENTRE_M > 0
 
 
-def test_the_static_camera_stands_still_and_the_other_follows_with_its_lag(path: FloatArray) -> None:
-    paths = auxiliary_paths(Auxiliary(lag_s=0.0), path, 1 / 30, np.random.default_rng(0))
-    assert list(paths) == ["static", "naive"]
-    assert (paths["static"] == paths["static"][0]).all()
-    np.testing.assert_allclose(paths["naive"], naive_pose(path[:, :3, 3], path[:, :3, 1], 0.11), atol=1e-12)
-    step = np.tile(path[:1], (40, 1, 1))
-    step[10:, 0, 3] += 0.01
-    slow = auxiliary_paths(Auxiliary(lag_s=0.3), step, 1 / 30, np.random.default_rng(0))["naive"]
-    way = slow[:, 0, 3] - slow[0, 0, 3]
-    np.testing.assert_allclose(way[10:], 0.01 * (1 - np.exp(-(np.arange(30) + 1) / 9)), atol=1e-12)
+def test_the_cameras_are_where_their_controllers_bring_them(path: FloatArray) -> None:
+    """All start in one place; one stays there, one keeps looking at the feature from the wanted distance."""
+    paths = auxiliary_paths(Auxiliary(views=("static", "gaze")), path, 1 / 30, np.random.default_rng(0))
+    assert list(paths) == ["static", "gaze"]
+    np.testing.assert_allclose(paths["static"], np.tile(paths["static"][0], (len(path), 1, 1)), atol=1e-12)
+    errors = view_errors(paths["gaze"], path, 0.11)
+    assert np.median(errors["vva_deg"]) < 0.5
+    assert np.median(errors["fd_mm"]) < 5.0
+    assert errors["vva_deg"].mean() < view_errors(paths["static"], path, 0.11)["vva_deg"].mean()
+    # One more view changes no other.
+    alone = auxiliary_paths(Auxiliary(views=("gaze",)), path, 1 / 30, np.random.default_rng(0))
+    np.testing.assert_array_equal(alone["gaze"], paths["gaze"])
 
 
 def test_a_reported_pose_has_a_constant_error_and_jitter() -> None:
@@ -124,7 +118,7 @@ def test_masks_of_an_auxiliary_view_are_those_of_the_true_states_from_its_true_p
     sequence = dataset.sequences[0]
     instrument = dataset.instrument("large_needle_driver")
     evaluator = SilhouetteEvaluator([instrument], SIDE)
-    for name in ("static", "naive"):
+    for name in ("static", "gaze"):
         view = sequence.auxiliary(name)
         for arm in sequence.arms:
             states = sequence.states(arm)
@@ -147,7 +141,7 @@ def test_a_part_has_the_same_files_as_the_whole(made: Path, tmp_path: Path) -> N
     assert sum("views" in path.parts for path in masks) == 2 * 2 * 2 * 2  # views, arms, frames; clean and observed
     for path in masks:
         assert path.read_bytes() == (made / path.relative_to(tmp_path / "part")).read_bytes()
-    whole, part = (Dataset.open(root).sequences[0].auxiliary("naive") for root in (made, tmp_path / "part"))
+    whole, part = (Dataset.open(root).sequences[0].auxiliary("gaze") for root in (made, tmp_path / "part"))
     np.testing.assert_array_equal(part.T_view_cam("left"), whole.T_view_cam("left")[:2])
 
 
@@ -158,9 +152,9 @@ def test_a_dataset_without_such_views_does_not_know_of_them(tmp_path: Path) -> N
     assert "auxiliary" not in (tmp_path / "plain" / "dataset.json").read_text()
     dataset = Dataset.open(tmp_path / "plain")
     with pytest.raises(DatasetError, match="auxiliary view"):
-        dataset.sequences[0].auxiliary("naive")
+        dataset.sequences[0].auxiliary("gaze")
     with pytest.raises(ConfigError, match="'few' has no auxiliary views"):
-        complete(Row(tracker="cmaes", view="naive"), Protocol(), dataset)
+        complete(Row(tracker="cmaes", view="gaze"), Protocol(), dataset)
     assert "view" not in complete(Row(tracker="cmaes"), Protocol(), dataset).spec()
 
 
@@ -200,15 +194,15 @@ def test_what_is_wrong_with_an_auxiliary_view_is_found(made: Path, tmp_path: Pat
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"camera": "nowhere"}, "auxiliary view 'naive' names the unknown camera 'nowhere'"),
-        ({"kinds": ["visible_left"]}, "auxiliary view 'naive' has the kind 'visible_left', which the sequence has not"),
+        ({"camera": "nowhere"}, "auxiliary view 'gaze' names the unknown camera 'nowhere'"),
+        ({"kinds": ["visible_left"]}, "auxiliary view 'gaze' has the kind 'visible_left', which the sequence has not"),
     ],
 )
 def test_a_manifest_that_contradicts_itself_is_refused(
     made: Path, tmp_path: Path, change: dict[str, Any], message: str
 ) -> None:
     manifest = json.loads((made / "dataset.json").read_text())
-    manifest["sequences"][0]["auxiliary"]["naive"].update(change)
+    manifest["sequences"][0]["auxiliary"]["gaze"].update(change)
     (tmp_path / "dataset.json").write_text(json.dumps(manifest))
     with pytest.raises(DatasetError, match=message):
         Dataset.open(tmp_path)
@@ -219,9 +213,9 @@ def test_a_manifest_that_contradicts_itself_is_refused(
 
 def test_trackers_are_shown_the_reported_pose_and_not_the_true_one(made: Path) -> None:
     dataset = Dataset.open(made)
-    data = UnitData(dataset, dataset.units("single")[1], "none", "naive")
+    data = UnitData(dataset, dataset.units("single")[1], "none", "gaze")
     sequence = dataset.sequences[0]
-    view = sequence.auxiliary("naive")
+    view = sequence.auxiliary("gaze")
     assert [one.camera for one in data.scene().views] == [SMALL, SIDE]
     for frame in range(2):
         seen = data.observation(frame, sequence.mask("right", frame)).views
@@ -245,28 +239,48 @@ def test_a_run_with_a_view_is_a_row_of_its_own(made: Path, tmp_path: Path) -> No
 
 def test_gradients_contours_and_particles_take_two_views_too(made: Path, tmp_path: Path) -> None:
     for tracker in ("adam", "hybrid", "particle-filter"):
-        surgbench("run", "--dataset", made, "--tracker", tracker, "--joints", "--view", "naive", "--out", tmp_path)
+        surgbench("run", "--dataset", made, "--tracker", tracker, "--joints", "--view", "gaze", "--out", tmp_path)
     found = records(tmp_path)
     assert [record["status"] for record in found] == ["ok"] * 6
 
 
 def test_what_cannot_be_is_said_in_one_line(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for arguments, message in (
-        (("--tracker", "cmaes", "--view", "navie"), "unknown auxiliary view 'navie'; did you mean 'naive'?"),
-        (("--tracker", "cmaes", "--view", "naive", "--arms", "dual"), "shows each arm alone; use --arms single"),
-        (("--tracker", f"{Path(__file__).with_name('strangers.py')}:OneEyed", "--view", "naive"), "one view alone"),
+        (("--tracker", "cmaes", "--view", "gaez"), "unknown auxiliary view 'gaez'; did you mean 'gaze'?"),
+        (("--tracker", "cmaes", "--view", "gaze", "--arms", "dual"), "shows each arm alone; use --arms single"),
+        (("--tracker", f"{Path(__file__).with_name('strangers.py')}:OneEyed", "--view", "gaze"), "one view alone"),
     ):
         surgbench("run", "--dataset", made, *arguments, "--out", tmp_path, expect=2)
         assert message in capsys.readouterr().err
 
 
+def test_a_second_view_that_shows_nothing_harms_nobody(made: Path) -> None:
+    """The camera has lost the instrument: every tracker goes on with the endoscope."""
+    dataset = Dataset.open(made)
+    data = UnitData(dataset, dataset.units("single")[0], "none", "gaze")
+    assert data.truth is not None
+    state = data.truth[0, 0]
+    observation = data.observation(0, data.sequence.mask(data.unit.kind, 0))
+    behind = np.diag([1.0, -1.0, -1.0, 1.0])
+    behind[2, 3] = -1.0
+    lost = replace(observation.views[1], T_view_cam=behind, mask=np.zeros((96, 128), dtype=bool), keypoints=(None,))
+    observation = replace(observation, views=(observation.views[0], lost), start=state)
+    for name in ("hybrid", "cmaes", "adam"):
+        tracker = create(find("tracker", name), {})
+        tracker.reset(data.scene(), state.copy(), np.random.default_rng(0))
+        answer = tracker.step(observation)
+        assert np.isfinite(answer.state).all()
+        assert np.linalg.norm(answer.state[3:6] - state[3:6]) < 0.02
+
+
 def test_the_preset_is_there_and_options_that_will_not_do_are_refused() -> None:
     preset = load_preset("auxiliary-view")
     assert preset.auxiliary is not None
-    assert preset.auxiliary == Auxiliary()
+    assert preset.auxiliary == Auxiliary(views=("static", "midpoint", "naive", "autocam", "gaze"))
     for wrong, message in (
         ({"views": ["static", "static"]}, "named twice"),
-        ({"views": ["nobody"]}, "static"),
+        ({"views": ["nobody"]}, "unknown tracker 'nobody'"),
+        ({"views": ["cmaes"]}, "no controller of a camera"),
         ({"camera": {**SIDE.model_dump(), "distortion": [0.1, 0, 0, 0, 0]}}, "undistorted"),
     ):
         with pytest.raises(ValueError, match=message):

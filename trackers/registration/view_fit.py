@@ -166,7 +166,7 @@ class ViewFit:
         """
         if self._calibrated:
             return self._change.pull_back(state, gradient)
-        arms = gradient.reshape(len(gradient), -1, STATE_SIZE)
+        arms = gradient.reshape(len(gradient), gradient.shape[1] // STATE_SIZE, STATE_SIZE)
         places = split_arms(own)
         turned = np.einsum("kai,aij->kj", arms[..., ANGLES], angle_rates(places[:, ANGLES]))
         turned += np.cross(places[:, POSITION], arms[..., POSITION]).sum(axis=1)
