@@ -27,7 +27,8 @@ def list_names(
     }
     if what in kinds:
         for name, found in sorted(discover(kinds[what]).items()):
-            print(f"{name:16} {found.problem or getattr(found.cls, 'summary', '')}")
+            mark = "" if found.task == "instrument" else f"[{found.task}] "
+            print(f"{name:18} {mark}{found.problem or getattr(found.cls, 'summary', '')}")
             if found.unavailable is not None:
                 print(f"  not available here: {found.unavailable}")
             for option, default, meaning in describe(found):

@@ -280,6 +280,11 @@ def plug(kind: Kind, reference: str, options: dict[str, dict[str, Any]], task: s
         ConfigError: A wrong option, or it is for another task.
     """
     found = find(kind, reference)
+    if found.task != task and not hasattr(found.cls, "task") and kind == "tracker":
+        raise ConfigError(
+            f"tracker '{found.name}' is for the {found.task} task, as its class has no 'task'; this dataset is of the "
+            f'{task} task, whose controllers have task = "{task}"'
+        )
     if found.task != task:
         raise ConfigError(f"{kind} '{found.name}' is for the {found.task} task; this dataset is of the {task} task")
     given = options.get(found.name, {})

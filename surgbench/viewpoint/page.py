@@ -37,6 +37,10 @@ ERRORS = (
     ("an_deg", "AN [deg]", 2),
     ("pn_mm", "PN [mm]", 2),
 )
+QUICK_TRIAL = (
+    "It is the beginning of one trial: how often rules bind in that is not what the headings say of whole trials, and "
+    "a subset may be empty."
+)
 SIGNED = ("fd_signed_mm", "FD, signed [mm]", 2)
 READING = (
     "VVA: angle between the optical axis and the line to the feature; FD: distance to it less 110 mm; PF: camera's x "
@@ -54,7 +58,7 @@ def page(definition: Definition, results: Results) -> str:
     table, published = definition.table, definition.published
     parts = [f"# {table.title}"]
     if results.about["quick"]:
-        parts.append(QUICK_WARNING)
+        parts += [QUICK_WARNING, QUICK_TRIAL]
     parts += [table.note.strip(), READING, _times(results.about, published)]
     if results.about["figure"]:
         parts.append(f"![Errors over time]({FIGURE_PNG})")

@@ -260,6 +260,8 @@ class Receiver:
 
 
 def _numbers(value: Any, what: str) -> FloatArray:
+    if value is None:
+        raise InvalidCommandError(f"the controller returned nothing (None), not {what}")
     try:
         numbers = np.array(value, dtype=np.float64)
     except (TypeError, ValueError):
