@@ -17,6 +17,7 @@ from surgbench.files import write_atomic
 from surgbench.geometry import FloatArray
 from surgbench.report.records import ViewpointRecord
 from surgbench.viewpoint.contract import ViewpointScene
+from surgbench.viewpoint.draw import EDGES
 from surgbench.viewpoint.placement import CONSTRAINTS, naive_pose
 from surgbench.viewpoint.trial import Trial
 
@@ -105,7 +106,7 @@ def draw_paths(lines: Sequence[Line], trial: Trial, scene: ViewpointScene, path:
         panel.plot(*(naive - centre).T, color=NAIVE_COLOUR, lw=0.5, alpha=0.7, label="naive pose")
         panel.plot(*(camera - centre).T, color=CAMERA_COLOUR, lw=0.9, label="camera")
         panel.plot(*(feature - centre).T, color=FEATURE_COLOUR, lw=1.2, label="ring")
-        for a, b in _EDGES:
+        for a, b in EDGES:
             panel.plot(*(corners[[a, b]] - centre).T, color=ZONE_COLOUR, lw=0.9)
         panel.set_title(line.label, fontsize=10)
         panel.set(xlabel="x [mm]", ylabel="y [mm]", zlabel="z [mm]")
@@ -117,11 +118,6 @@ def draw_paths(lines: Sequence[Line], trial: Trial, scene: ViewpointScene, path:
     handles, labels = np.ravel(axes)[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper center", ncols=3, frameon=False)
     _save(figure, path)
-
-
-# Of the zone's corners: around the base, around the top, and up.
-_EDGES = [(k, (k + 1) % 4) for k in range(4)]
-_EDGES += [(4 + a, 4 + b) for a, b in _EDGES] + [(k, 4 + k) for k in range(4)]
 
 
 def draw_centroids(
