@@ -45,7 +45,7 @@ wheel-test: $(SETUP)
 		../../../tests/test_run.py::test_the_papers_tracker_follows_the_mini_dataset
 
 # Types are checked once more, for with the extras there is more to check against.
-EXTRAS_TESTS := autograd instrument optimisers reproduce silhouette_torch turbo viewpoint_run
+EXTRAS_TESTS := instrument reproduce turbo viewpoint_run
 extras-test: $(EXTRAS)
 	$(BIN)/mypy
 	$(BIN)/python -m pytest -q $(EXTRAS_TESTS:%=tests/test_%.py)
@@ -60,7 +60,7 @@ $(SETUP): pyproject.toml constraints.txt tools/system-libraries.sh
 
 $(EXTRAS): $(SETUP)
 	sh tools/system-libraries.sh meshes
-	PYTHONWARNINGS=ignore $(PIP) -e '.[dev,torch,turbo,meshes,plots]'
+	PYTHONWARNINGS=ignore $(PIP) -e '.[dev,turbo,meshes,plots]'
 	touch $@
 
 clean:

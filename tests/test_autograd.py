@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import torch
 from support import resting_state
 
 from surgbench.camera import Camera
 from surgbench.instrument import load_instrument
-from surgbench.silhouette import KeypointProjector, Reference, SilhouetteEvaluator
+from surgbench.silhouette import KeypointProjector, Reference, SilhouetteEvaluator, autograd
 from surgbench.state import STATE_SCALE
-
-torch = pytest.importorskip("torch", reason="PyTorch is not installed")
-autograd = pytest.importorskip("surgbench.silhouette.autograd")
 
 
 @pytest.fixture(scope="module")
@@ -32,6 +30,7 @@ def test_areas_are_the_counts_and_their_gradient_is_the_engines(evaluator: Silho
     weights = torch.tensor([1.0, -2.0, 0.5, 3.0], dtype=torch.float64)
     (weights * (area**2 - 2 * overlap)).sum().backward()
     expected = weights.numpy()[:, None] * (2 * score.area[:, None] * gradient.area - 2 * gradient.overlap)
+    assert tensor.grad is not None
     assert tensor.grad.numpy() == pytest.approx(expected)
 
 
@@ -40,6 +39,7 @@ def test_single_precision_tensors_stay_single(evaluator: SilhouetteEvaluator) ->
     tensor = torch.tensor(resting_state()[None], dtype=torch.float32, requires_grad=True)
     area, _ = autograd.areas(tensor, evaluator, reference)
     area.sum().backward()
+    assert tensor.grad is not None
     assert area.dtype == tensor.grad.dtype == torch.float32
 
 
@@ -56,6 +56,7 @@ def test_tips_pass_gradcheck(small_camera: Camera) -> None:
     places = autograd.tips(behind, projector)
     assert bool(torch.isnan(places[0, 0]).all())
     places[0, 1].sum().backward()
+    assert behind.grad is not None
     assert np.isfinite(behind.grad.numpy()).all()
     assert not behind.grad[0, :9].any()
 

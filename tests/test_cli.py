@@ -22,6 +22,8 @@ COMMANDS = [
     ("video",),
     ("list",),
     ("bench", "silhouettes"),
+    ("bench", "keypoints"),
+    ("train", "keypoints"),
     ("check", "tracker"),
 ]
 
@@ -44,9 +46,11 @@ def test_version_is_the_packages() -> None:
         ("initialisers", "random"),
         ("filters", "kalman"),
         ("keypoints", "observed"),
+        ("keypoints", "resnet18"),
         ("presets", "mini"),
         ("suites", "demo"),
         ("tables", "table1"),
+        ("training", "resnet18"),
         ("instruments", "large_needle_driver"),
     ],
 )

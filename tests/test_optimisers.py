@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 
 from surgbench.geometry import FloatArray
 from surgbench.trackers.optimisers.adam import Adam
@@ -122,7 +123,6 @@ def test_xnes_finds_a_minimum_and_counts_nan_as_worst() -> None:
 
 
 def test_adam_is_that_of_torch_step_by_step() -> None:
-    torch = pytest.importorskip("torch")
     start = np.array([1.0, -2.0, 0.5])
     theirs = torch.tensor(start, requires_grad=True)
     optimiser = torch.optim.Adam([theirs], lr=0.1)

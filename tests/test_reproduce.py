@@ -42,6 +42,7 @@ TABLE: dict[str, Any] = {
             "note": "Starts from the truth.",
             "dataset": {"preset": "mini", "frames": FRAMES},
             "quick_sequences": ["000"],
+            "keypoints": "observed",
             "published_on": "synthetic",
             "rows": [
                 {"row_id": "still", "label": "Still", "tracker": f"{STRANGERS}:Still", "published": "gd-10"},
@@ -93,6 +94,15 @@ def results(made: Path) -> Results:
 
 
 # --- the files
+
+
+def test_a_blocks_keypoints_are_its_rows_unless_they_name_others(tmp_path: Path, definition: Definition) -> None:
+    assert [row.keypoints for _, row in definition.table.rows()] == ["observed", "observed"]
+    table = json.loads(json.dumps(TABLE))
+    table["blocks"][0]["rows"][0]["keypoints"] = "corners"
+    (tmp_path / "other.yaml").write_text(yaml.safe_dump(table), encoding="utf-8")
+    rows = load_table(str(tmp_path / "other.yaml")).table.rows()
+    assert [row.asked(quick=False).keypoints for _, row in rows] == ["corners", "observed"]
 
 
 def test_every_file_is_there_and_fits(made: Path, definition: Definition, results: Results) -> None:

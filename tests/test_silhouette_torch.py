@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+import torch
 import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -41,7 +42,6 @@ TOLERANCE_PX = 2
 
 @pytest.fixture(scope="module", params=["cpu", "cuda"])
 def device(request: pytest.FixtureRequest) -> str:
-    torch = pytest.importorskip("torch", reason="PyTorch is not installed (pip install 'surgbench[torch]')")
     if request.param == "cuda" and not torch.cuda.is_available():
         pytest.skip("no CUDA GPU on this machine, or a PyTorch without CUDA")
     name: str = request.param
@@ -208,7 +208,6 @@ def test_integer_images_are_summed(small_camera: Camera, device: str) -> None:
 
 
 def test_tensors_stay_on_their_device(small_camera: Camera, device: str) -> None:
-    torch = pytest.importorskip("torch")
     evaluator = evaluators([load_instrument("large_needle_driver")], small_camera, device)[1]
     states = resting_state() + 0.01 * np.arange(6)[:, None]
     reference = Reference(checker(small_camera))
@@ -237,7 +236,6 @@ def test_the_objective_scores_on_the_scenes_device(
 ) -> None:
     from surgbench.silhouette import torch_evaluator
 
-    torch = pytest.importorskip("torch")
     scene = scene_of(small_camera)
     frame = observe(scene, resting_state())
     states = resting_state() + 0.01 * np.arange(6)[:, None]
@@ -274,11 +272,10 @@ def without_torch(monkeypatch: pytest.MonkeyPatch) -> str:
     monkeypatch.setattr(sys, "meta_path", [NoTorch(), *sys.meta_path])
     for module in ("torch", "surgbench.silhouette.torch_evaluator"):
         monkeypatch.delitem(sys.modules, module, raising=False)
-    return "pip install 'surgbench[torch]'"
+    return "pip install torch"
 
 
 def without_gpu(monkeypatch: pytest.MonkeyPatch) -> str:
-    torch = pytest.importorskip("torch")
     monkeypatch.setattr(torch.cuda, "device_count", lambda: 0)
     return "use device 'cpu'"
 
@@ -303,7 +300,6 @@ def test_a_device_that_is_not_there_is_answered_in_one_line(
 
 @pytest.mark.parametrize("name", ["gpu", "mps", "cuda:99"])
 def test_unknown_devices_are_refused(name: str) -> None:
-    pytest.importorskip("torch")
     from surgbench.silhouette.torch_evaluator import check_device
 
     with pytest.raises(ConfigError, match=f"'{name}'"):
@@ -314,7 +310,6 @@ def test_the_device_is_part_of_the_settings_only_where_it_is_no_cpu(
     dataset: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Hashes of runs on the CPU are those from before there was a choice."""
-    pytest.importorskip("torch")
     monkeypatch.setattr("surgbench.silhouette.torch_evaluator.check_device", lambda _: None)
     data = Dataset.open(dataset)
     on_cpu, on_gpu = (complete(Row(tracker="cmaes"), Protocol(device=name), data) for name in ("cpu", "cuda"))

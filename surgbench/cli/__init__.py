@@ -20,6 +20,7 @@ from surgbench.cli.list_ import list_names
 from surgbench.cli.report import report
 from surgbench.cli.reproduce import reproduce
 from surgbench.cli.run import run
+from surgbench.cli.train import train_app
 from surgbench.cli.validate import validate
 from surgbench.cli.video import video
 from surgbench.errors import SurgbenchError
@@ -68,6 +69,7 @@ app.command("video")(video)
 app.command("list")(list_names)
 check_app.command("tracker")(tracker)
 app.add_typer(check_app, name="check")
+app.add_typer(train_app, name="train")
 app.add_typer(bench_app, name="bench")
 
 

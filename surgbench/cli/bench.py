@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -15,7 +16,7 @@ bench_app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 
 @bench_app.callback()
 def _bench() -> None:
-    """Measure the engine beside what one would use instead.
+    """Measure parts of the engine beside what one would use instead.
 
     Example: surgbench bench silhouettes
     """
@@ -63,6 +64,64 @@ def silhouettes(
     from rich.console import Console
 
     print_comparison(comparison, Console())
+
+
+@bench_app.command("keypoints")
+def keypoints(
+    source: Annotated[
+        list[str] | None,
+        typer.Option("--keypoints", metavar="NAME|FILE.py:Class", help="A source; may be repeated."),
+    ] = None,
+    masks: Annotated[int, typer.Option(min=1, help="How many.")] = 3000,
+    seed: Annotated[int, typer.Option(min=0, help="Of the masks.")] = 0,
+    set_: Annotated[
+        list[str] | None, typer.Option("--set", metavar="NAME.option=value", help="An option; may be repeated.")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Write metrics, table and pictures of the worst there.")
+    ] = None,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="JSON on standard output: a list of the table's rows.")
+    ] = False,
+) -> None:
+    """Measure keypoint sources on held-out synthetic masks: what they find, how exactly, how fast, where they fail.
+
+    Example: surgbench bench keypoints --keypoints resnet18 --keypoints corners --out keypoints
+
+    Half of the masks are corrupted as datasets are (`published`), the others less, more, or rounded like a segmentation
+    network's. Nothing is trained on these masks, nor on these instruments. Pixels are those of a 700 x 493 image.
+    """
+    from rich.console import Console
+
+    from surgbench.bench.keypoints import groups, measure
+    from surgbench.bench.keypoints_report import print_groups, write_report
+    from surgbench.errors import ConfigError
+    from surgbench.generators.tip_masks import HELD_OUT, TipMasks
+    from surgbench.instrument import load_instrument
+    from surgbench.registry import create, find
+    from surgbench.suite.suites import parse_sets
+
+    options = parse_sets(set_ or [])
+    found = [find("keypoints", name) for name in source or ["resnet18", "corners"]]
+    names = [one.name for one in found]
+    for one in found:
+        if one.unavailable is not None:
+            raise ConfigError(f"keypoints '{one.name}' cannot run here: {one.unavailable}")
+    for name in options:
+        if name not in names:
+            raise ConfigError(f"--set {name}.…: '{name}' takes no part (taking part: {', '.join(names)})")
+    test = TipMasks(HELD_OUT, masks, seed, "test")
+    instrument = load_instrument(HELD_OUT.instrument)
+    with progress("masks", masks * len(found)) as bar:
+        seen = {one.name: measure(create(one, options.get(one.name, {})), test, instrument, bar) for one in found}
+    rows = [group for name, answers in seen.items() for group in groups(name, answers)]
+    if as_json:
+        print(json.dumps([group.row() for group in rows], indent=2, allow_nan=False))
+    else:
+        print_groups(rows, Console())
+    if out is not None:
+        write_report(out, rows, seen, test, seed)
+        print(out, file=sys.stderr if as_json else sys.stdout)
 
 
 def _numbers(text: str) -> list[int]:

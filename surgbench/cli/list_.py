@@ -9,7 +9,9 @@ import typer
 
 def list_names(
     what: Annotated[
-        Literal["trackers", "initialisers", "filters", "keypoints", "presets", "suites", "tables", "instruments"],
+        Literal[
+            "trackers", "initialisers", "filters", "keypoints", "presets", "suites", "tables", "training", "instruments"
+        ],
         typer.Argument(help="What to list."),
     ],
 ) -> None:

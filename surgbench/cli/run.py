@@ -35,7 +35,10 @@ def run(
     initialiser: Annotated[
         str | None, typer.Option(metavar="NAME", help="Default: truth where there is any, else random.")
     ] = None,
-    keypoints: Annotated[str | None, typer.Option(metavar="NAME", help="Keypoint source; default: observed.")] = None,
+    keypoints: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="Keypoint source; default: resnet18, with joint readings observed."),
+    ] = None,
     filter_: Annotated[str | None, typer.Option("--filter", metavar="NAME", help="Default: kalman.")] = None,
     registration: Annotated[
         Literal["none", "translation", "rigid"] | None,

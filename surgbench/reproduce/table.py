@@ -98,6 +98,7 @@ class Block(_Part):
         dataset: What to generate.
         quick_sequences: Ids of the dataset's sequences that a quick run makes.
         protocol: What all rows share.
+        keypoints: Keypoint source of the rows that name none; unless told as in a suite.
         published_on: Which of the published rows' datasets the block stands for.
         rows: In the order they are shown.
     """
@@ -108,8 +109,16 @@ class Block(_Part):
     dataset: DatasetRequest
     quick_sequences: Annotated[tuple[str, ...], Field(min_length=1)]
     protocol: Protocol = Protocol()
+    keypoints: str | None = None
     published_on: str | None = None
     rows: Annotated[tuple[TableRow, ...], Field(min_length=1)]
+
+    @model_validator(mode="after")
+    def _hand_on_keypoints(self) -> Block:
+        if self.keypoints is not None:
+            rows = (row if row.keypoints else row.model_copy(update={"keypoints": self.keypoints}) for row in self.rows)
+            self.__dict__["rows"] = tuple(rows)
+        return self
 
 
 class Share(_Part):

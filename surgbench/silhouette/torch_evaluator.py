@@ -33,8 +33,7 @@ try:
     from torch import Tensor
 except ImportError as error:
     raise ConfigError(
-        f"device 'cuda' needs PyTorch, which cannot be imported ({error}); "
-        "pip install 'surgbench[torch]', or use device 'cpu'"
+        f"device 'cuda' needs PyTorch, which cannot be imported ({error}); pip install torch, or use device 'cpu'"
     ) from None
 
 # Tensors held at a time by one crossing, and how many a candidate has in a 700 x 493 image.

@@ -38,7 +38,8 @@ class Row(BaseModel):
             view where it has one.
         initialiser: ``truth`` where the dataset has it, else ``random``, unless told.
         filter: State filter.
-        keypoints: Keypoint source.
+        keypoints: Keypoint source; unless told ``resnet18``, which finds the tips in the mask, but for rows with
+            readings on data that holds tips ``observed``.
         readings: Which joint readings the tracker is given.
         view: Auxiliary view that the tracker is given besides the endoscope's.
         registration: Viewpoint task: how touched points correct the camera arm's base.
@@ -55,7 +56,7 @@ class Row(BaseModel):
     row_id: Annotated[str, Field(pattern=f"^{NAME_PATTERN}$")] | None = None
     initialiser: str | None = None
     filter: str = "kalman"
-    keypoints: str = "observed"
+    keypoints: str | None = None
     readings: Readings = "none"
     view: str | None = None
     registration: Registration = "translation"
@@ -214,7 +215,8 @@ class InstrumentSettings(Settings):
             words.append(f"also the view {self.view}")
         if self.protocol.device != "cpu":
             words.append(f"device {self.protocol.device}")
-        for plug, usual in ((self.filter, "kalman"), (self.keypoints, "observed"), (self.initialiser, "truth")):
+        usual_keypoints = usual_keypoint_source(self.readings)
+        for plug, usual in ((self.filter, "kalman"), (self.keypoints, usual_keypoints), (self.initialiser, "truth")):
             if plug.name != usual or plug.changed:
                 changed = ", ".join(f"{key}={value}" for key, value in flat(plug.changed))
                 words.append(f"{plug.kind} {plug.name}" + (f" ({changed})" if changed else ""))
@@ -290,7 +292,8 @@ def plug(kind: Kind, reference: str, options: dict[str, dict[str, Any]], task: s
     given = options.get(found.name, {})
     config = configure(found, given)
     effective = {} if config is None else config.model_dump(mode="json")
-    changed = {} if config is None else config.model_dump(mode="json", exclude_defaults=True)
+    # What an option finds out for itself is no change that somebody asked for.
+    changed = {} if config is None else config.model_dump(mode="json", exclude_defaults=True, exclude_unset=True)
     needs_truth = bool(getattr(found.cls, "needs_truth", False))
     source = f"{found.source}@{found.hash}"
     return Plug(kind, reference, found.name, source, effective, changed, needs_truth, found.unavailable)
@@ -320,6 +323,11 @@ def complete(row: Row, protocol: Protocol, dataset: AnyDataset) -> Settings:
     return settings
 
 
+def usual_keypoint_source(readings: Readings, has_tips: bool = True) -> str:
+    """The keypoint source of rows that name none: without readings only what the mask shows."""
+    return "observed" if readings != "none" and has_tips else "resnet18"
+
+
 def cut(row: Row, lengths: Sequence[int]) -> int | None:
     """The row's limit of frames, where any unit is longer."""
     return row.frames if row.frames is not None and any(row.frames < length for length in lengths) else None
@@ -337,7 +345,9 @@ def _complete_instrument(row: Row, protocol: Protocol, dataset: Dataset) -> Inst
         "initialiser", row.initialiser or ("truth" if has_truth else "random"), row.options, "instrument"
     )
     state_filter = plug("filter", row.filter, row.options, "instrument")
-    keypoints = plug("keypoints", row.keypoints, row.options, "instrument")
+    has_tips = all(sequence.entry.keypoints for sequence in dataset.sequences)
+    keypoints_name = row.keypoints or usual_keypoint_source(row.readings, has_tips)
+    keypoints = plug("keypoints", keypoints_name, row.options, "instrument")
     for one, other in ((initialiser, "random"), (state_filter, "kalman")):
         if one.needs_truth and not has_truth:
             raise ConfigError(

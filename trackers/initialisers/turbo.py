@@ -17,10 +17,10 @@ from pydantic import Field
 from surgbench.contract import Observation, Plugin, Scene
 from surgbench.errors import ConfigError
 from surgbench.geometry import FloatArray
+from surgbench.hypotheses import DISTANCE_M, ELEVATION_DEG, hypothesis_states
 from surgbench.metrics import rotation_error
 from surgbench.state import ANGLES, POSITION, STATE_SCALE, STATE_SIZE, StateSpace
 from surgbench.trackers.initialisers.arms import initialise_each_arm
-from surgbench.trackers.initialisers.hypotheses import DISTANCE_M, ELEVATION_DEG, hypothesis_states
 from surgbench.trackers.initialisers.refinement import WIDE, Count, RefinementConfig, Scorer, finish
 from surgbench.trackers.optimisers.cma import CMA
 from surgbench.trackers.optimisers.cma_settings import published_settings
@@ -160,9 +160,11 @@ class _Settler:
         read = self._observation.joints
         q = np.stack(joints, axis=1) if read is None else np.tile(read, (len(points), 1))
         n, places = len(points), len(self._places[0])
-        wrist = tuple(np.tile(pixels, n) for pixels in self._places)
-        angles = (np.repeat(values, places) for values in (roll_camera, elevation, roll_local, distance))
-        states = hypothesis_states(self._camera, *angles, wrist, np.repeat(q, places, axis=0))
+        columns, rows = (np.tile(pixels, n) for pixels in self._places)
+        roll_camera, elevation, roll_local, distance, q = (
+            np.repeat(values, places, axis=0) for values in (roll_camera, elevation, roll_local, distance, q)
+        )
+        states = hypothesis_states(self._camera, roll_camera, elevation, roll_local, distance, (columns, rows), q)
         tried = states.reshape(n, places, STATE_SIZE)
         tips = self._observation.views[0].keypoints[0]
         if tips is not None:

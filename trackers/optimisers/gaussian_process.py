@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
 
 import gpytorch
 import numpy as np
@@ -22,17 +20,6 @@ from surgbench.geometry import FloatArray
 LENGTHS = (0.005, 4.0)
 NOISE = (1e-4, 0.2)  # of values with variance 1
 FIT_STEPS = 20
-
-
-@contextmanager
-def one_thread() -> Iterator[None]:
-    """Keep PyTorch to one thread, and give back what was set."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
 
 
 class GaussianProcess:

@@ -1,0 +1,1 @@
+"""Suites: which trackers run with which settings."""

@@ -1,0 +1,61 @@
+"""``surgbench train``."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+train_app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
+
+
+@train_app.callback()
+def _train() -> None:
+    """Train what learns from synthetic data.
+
+    Example: surgbench train keypoints --out models/mine
+    """
+
+
+@train_app.command("keypoints")
+def keypoints(
+    training: Annotated[
+        str, typer.Argument(metavar="NAME|FILE.yaml", help="A training file: surgbench list training.")
+    ] = "resnet18",
+    out: Annotated[
+        Path, typer.Option(help="The model's folder: new, or that of an interrupted training of the same settings.")
+    ] = Path("model"),
+    start: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.safetensors", help="Begin with the weights of this model, of the same size."),
+    ] = None,
+    seed: Annotated[int | None, typer.Option(min=0, help="Instead of the file's.")] = None,
+    masks: Annotated[int | None, typer.Option(min=1, help="How many are learnt, instead of the file's.")] = None,
+    epochs: Annotated[int | None, typer.Option(min=1, help="At most so many passes, instead of the file's.")] = None,
+    device: Annotated[Literal["cpu", "cuda"], typer.Option(help="Where the network is trained.")] = "cpu",
+    jobs: Annotated[int | None, typer.Option(min=1, help="Processes that make masks; all cores unless told.")] = None,
+) -> None:
+    """Train the network of the keypoint source `resnet18` on masks that are made for it.
+
+    Example: surgbench train keypoints resnet18 --out models/mine --masks 20000
+
+    Use the result with --keypoints resnet18 --set resnet18.model=models/mine/weights.safetensors. Weights, log and
+    validation curve are written after every epoch; after an interruption the same command goes on where it stopped.
+    """
+    from surgbench.cli.training import load_training, train
+    from surgbench.silhouette.torch_evaluator import check_device
+
+    settings = load_training(training, seed, masks, epochs)
+    if device != "cpu":
+        check_device(device)
+
+    def say(line: str) -> None:
+        print(line, file=sys.stderr, flush=True)
+
+    found = train(settings, out, start, device, jobs or len(os.sched_getaffinity(0)), say)
+    for key, value in found.items():
+        print(f"{key}: {value}")
+    print(out / "weights.safetensors")

@@ -1,0 +1,188 @@
+"""``surgbench train keypoints``: it learns, it goes on where it stopped, and says what is wrong in one line."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from commandline import surgbench
+
+from surgbench.errors import SurgbenchError
+from surgbench.generators.tip_masks import TipMasks, TipMaskSettings
+from surgbench.trackers.keypoints.heatmaps.model import load_network
+from surgbench.trackers.keypoints.heatmaps.network import NetworkSettings
+from surgbench.trackers.keypoints.heatmaps.patches import Patches, cut_patches
+from surgbench.trackers.keypoints.heatmaps.training import Training, TrainingSettings, target_heat
+
+NETWORK = NetworkSettings(width=4, head=4, input_px=32)
+SHORT = TrainingSettings(epochs=3, batch=8, bfloat16=False)
+TINY = """
+masks: {training: 16, validation: 8, test: 8}
+network: {width: 4, head: 4, input_px: 32}
+training: {epochs: 2, batch: 8, bfloat16: false}
+"""
+
+
+@pytest.fixture(scope="module")
+def patches() -> Patches:
+    return cut_patches(TipMasks(TipMaskSettings(), 24, 0, "training"), NETWORK.input_px, 1, lambda _: None)
+
+
+def quiet(_: Any) -> None: ...
+
+
+def trained(folder: Path, patches: Patches, settings: TrainingSettings = SHORT, **identity: Any) -> Training:
+    training = Training(folder, NETWORK, settings, 0, "cpu", identity)
+    training.run(patches, patches, quiet, quiet)
+    return training
+
+
+def test_it_learns(tmp_path: Path, patches: Patches) -> None:
+    trained(tmp_path, patches, SHORT.model_copy(update={"epochs": 40, "learning_rate": 0.01}))
+    log = list(csv.DictReader((tmp_path / "log.csv").read_text().splitlines()))
+    assert [row["epoch"] for row in log] == [str(number) for number in range(len(log))]
+    losses = [float(row["training_loss"]) for row in log]
+    assert losses[-1] < 0.75 * losses[0]
+
+
+def test_an_interrupted_training_ends_like_an_uninterrupted_one(tmp_path: Path, patches: Patches) -> None:
+    """To the last bit: the weights, and the log but for its times."""
+    trained(tmp_path / "whole", patches)
+    shares: list[float] = []
+
+    def interrupt(share: float) -> None:
+        shares.append(share)
+        if sum(shares) > 1.4:  # in the middle of the second epoch
+            raise KeyboardInterrupt
+
+    training = Training(tmp_path / "halves", NETWORK, SHORT, 0, "cpu", {})
+    with pytest.raises(KeyboardInterrupt):
+        training.run(patches, patches, interrupt, quiet)
+    resumed = Training(tmp_path / "halves", NETWORK, SHORT, 0, "cpu", {})
+    assert resumed.epoch == 1
+    resumed.run(patches, patches, quiet, quiet)
+    whole, halves = ((tmp_path / name / "weights.safetensors").read_bytes() for name in ("whole", "halves"))
+    assert whole == halves
+    logs = [
+        [line.rpartition(",")[0] for line in (tmp_path / name / "log.csv").read_text().splitlines()]
+        for name in ("whole", "halves")
+    ]
+    assert logs[0] == logs[1]
+
+
+def test_it_stops_when_the_validation_loss_does_not_fall(tmp_path: Path, patches: Patches) -> None:
+    still = SHORT.model_copy(update={"epochs": 30, "patience": 2, "learning_rate": 1e-12})
+    training = trained(tmp_path, patches, still)
+    assert training.epoch < 30
+
+
+def test_a_folder_of_other_settings_is_refused(tmp_path: Path, patches: Patches) -> None:
+    trained(tmp_path, patches, masks=16)
+    with pytest.raises(SurgbenchError, match="other settings"):
+        Training(tmp_path, NETWORK, SHORT, 0, "cpu", {"masks": 17})
+
+
+def test_it_begins_with_another_models_weights(tmp_path: Path, patches: Patches) -> None:
+    trained(tmp_path / "first", patches)
+    start = tmp_path / "first" / "weights.safetensors"
+    still = SHORT.model_copy(update={"epochs": 1, "learning_rate": 1e-12})
+    Training(tmp_path / "second", NETWORK, still, 7, "cpu", {}, start).run(patches, patches, quiet, quiet)
+    first, second = (load_network(tmp_path / name / "weights.safetensors")[0] for name in ("first", "second"))
+    torch.testing.assert_close(second.heat.weight, first.heat.weight, rtol=1e-3, atol=1e-4)
+    with pytest.raises(SurgbenchError, match="other settings"):
+        Training(tmp_path / "second", NETWORK, still, 7, "cpu", {})
+    larger = NETWORK.model_copy(update={"width": 8})
+    with pytest.raises(SurgbenchError, match="a network of width=4"):
+        Training(tmp_path / "third", larger, still, 7, "cpu", {}, start)
+
+
+def test_a_damaged_state_is_told(tmp_path: Path, patches: Patches) -> None:
+    trained(tmp_path, patches)
+    path = tmp_path / "training.safetensors"
+    path.write_bytes(path.read_bytes()[:-10])
+    with pytest.raises(SurgbenchError, match="damaged") as caught:
+        Training(tmp_path, NETWORK, SHORT, 0, "cpu", {})
+    assert "\n" not in str(caught.value)
+
+
+def test_global_randomness_is_left_alone(tmp_path: Path, patches: Patches) -> None:
+    torch.manual_seed(5)
+    expected = torch.rand(3)
+    torch.manual_seed(5)
+    trained(tmp_path, patches)
+    assert torch.equal(torch.rand(3), expected)
+
+
+def test_heat_is_one_at_a_tip_and_nowhere_for_tips_outside() -> None:
+    heat = target_heat(torch.tensor([[[10.0, 20.0], [torch.nan, torch.nan]]]), 32, 1.5)
+    assert heat.shape == (1, 32, 32)
+    assert float(heat[0, 20, 10]) == 1.0
+    assert float(heat[0, 20, 13]) == pytest.approx(np.exp(-0.5 * 4))
+    assert int((heat > 0.01).sum()) < 70
+
+
+def test_looks_keep_the_tips_where_the_picture_shows_them(patches: Patches) -> None:
+    """A mark put at a tip comes out where the tip is said to be, however the look is turned, scaled and mirrored."""
+    whole = np.flatnonzero(~np.isnan(patches.tips).any(axis=(1, 2)))
+    marked = patches.pictures[whole[:1]].copy()
+    marked[:] = 0
+    column, row = (round(value) for value in patches.tips[whole[0], 0])
+    marked[0, row, column] = 255
+    one = Patches(marked, np.array([[[column, row]] * 2], float), np.ones(1, bool), np.ones(1), patches.size)
+    for turn, scale, mirror, shift in ((0.0, 1.0, False, (0, 0)), (0.3, 1.1, True, (0.05, -0.04))):
+        picture, tips = one.look(0, turn, scale, mirror, np.array(shift, float))
+        rows, columns = np.nonzero(picture == picture.max())
+        assert abs(columns.mean() - tips[0, 0]) < 1.0
+        assert abs(rows.mean() - tips[0, 1]) < 1.0
+
+
+def test_patches_do_not_depend_on_the_number_of_jobs() -> None:
+    masks = TipMasks(TipMaskSettings(), 120, 1, "training")
+    one, two = (cut_patches(masks, 32, jobs, quiet) for jobs in (1, 2))
+    assert np.array_equal(one.pictures, two.pictures)
+    assert np.array_equal(one.tips, two.tips, equal_nan=True)
+
+
+def test_the_command_trains_and_its_model_is_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "tiny.yaml").write_text(TINY)
+    out = tmp_path / "model"
+    surgbench("train", "keypoints", tmp_path / "tiny.yaml", "--out", out, "--jobs", 1)
+    assert capsys.readouterr().out.strip().endswith("weights.safetensors")
+    found = json.loads((out / "accuracy.json").read_text())
+    assert found["masks"] + found["other_masks"] == found["test_masks"] == 8
+    assert json.loads((out / "config.json").read_text())["network"]["width"] == 4
+    surgbench("train", "keypoints", tmp_path / "tiny.yaml", "--out", out, "--jobs", 1)
+    assert "goes on after 2 epochs" in capsys.readouterr().err
+    surgbench("train", "keypoints", tmp_path / "tiny.yaml", "--out", out, "--seed", 1, expect=2)
+    assert "other settings" in capsys.readouterr().err
+    option = f"resnet18.model={out / 'weights.safetensors'}"
+    surgbench("bench", "keypoints", "--masks", 5, "--keypoints", "resnet18", "--set", option, "--json")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("training: {epoch: 3}", "did you mean 'epochs'?"),
+        ("network: {input_px: 100}", "multiple of 32"),
+        ("masks: {training: 0}", "masks.training"),
+    ],
+)
+def test_wrong_files_are_told_in_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str, message: str
+) -> None:
+    (tmp_path / "wrong.yaml").write_text(text)
+    surgbench("train", "keypoints", tmp_path / "wrong.yaml", "--out", tmp_path / "model", expect=2)
+    complaint = capsys.readouterr().err
+    assert message in complaint
+    assert complaint.count("\n") == 1
+    assert not (tmp_path / "model").exists()
+
+
+def test_unknown_files_are_told_with_the_nearest(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    surgbench("train", "keypoints", "resnet81", "--out", tmp_path, expect=2)
+    assert "did you mean 'resnet18'" in capsys.readouterr().err

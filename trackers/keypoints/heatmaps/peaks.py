@@ -1,0 +1,58 @@
+"""Peaks of a heatmap to a fraction of a pixel."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from surgbench.geometry import FloatArray
+
+TIPS = 2
+
+
+def find_peaks(logits: NDArray[np.float32], least_heat: float, apart_px: int) -> tuple[FloatArray, FloatArray]:
+    """All peaks, the hottest first.
+
+    A peak is the hottest pixel within ``apart_px`` in rows and columns. Its place is the top of a parabola through the
+    logits of it and its neighbours, in rows and in columns: about a tip the heat is near a Gaussian, and its logarithm
+    near a parabola.
+
+    Args:
+        logits: ``(s, s)`` float32.
+        least_heat: Heat (the logistic function of the logits) below which nothing is a peak.
+        apart_px: How near a hotter pixel may not be.
+
+    Returns:
+        Places ``(n, 2)`` as column and row, and their heat ``(n,)``.
+    """
+    # Beyond the border nothing is hotter.
+    window = np.ones((2 * apart_px + 1, 2 * apart_px + 1), np.uint8)
+    hottest = cv2.dilate(logits, window, borderType=cv2.BORDER_CONSTANT, borderValue=-1e9)
+    least = np.log(least_heat / (1.0 - least_heat))
+    rows, columns = np.nonzero((logits >= hottest) & (logits >= least))
+    order = np.argsort(-logits[rows, columns], kind="stable")
+    rows, columns = rows[order], columns[order]
+    last = len(logits) - 1
+
+    def log_heat(row: NDArray[np.int64], column: NDArray[np.int64]) -> FloatArray:
+        values = logits[np.clip(row, 0, last), np.clip(column, 0, last)].astype(np.float64)
+        return np.asarray(-np.logaddexp(0.0, -values))
+
+    here = log_heat(rows, columns)
+    across = _top(log_heat(rows, columns - 1), here, log_heat(rows, columns + 1))
+    down = _top(log_heat(rows - 1, columns), here, log_heat(rows + 1, columns))
+    return np.stack([columns + across, rows + down], axis=1), np.exp(here)
+
+
+def _top(before: FloatArray, here: FloatArray, after: FloatArray) -> FloatArray:
+    """Where a parabola through three values one apart has its top, from the middle one, at most half a step away."""
+    bend = before - 2.0 * here + after
+    with np.errstate(divide="ignore", invalid="ignore"):
+        top = 0.5 * (before - after) / bend
+    return np.clip(np.where(bend < 0, top, 0.0), -0.5, 0.5)
+
+
+def exactly_two(places: FloatArray) -> FloatArray | None:
+    """The two peaks ``(2, 2)``; ``None`` where there are more or fewer, as in Hu et al. 2026."""
+    return places if len(places) == TIPS else None

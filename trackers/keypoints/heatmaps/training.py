@@ -1,0 +1,310 @@
+"""Trains the heatmap network on labelled masks; an interrupted training goes on where its last epoch ended.
+
+Everything random comes from the seed and the number of the epoch, so that a resumed training sees what an uninterrupted
+one would have seen. Nothing is pickled: the state of the training is a safetensors file too.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from pydantic import Field
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save
+from torch import Tensor
+from torch.nn import functional
+
+from surgbench.config import Section
+from surgbench.errors import SurgbenchError
+from surgbench.files import sha256_file, write_atomic
+from surgbench.geometry import FloatArray
+from surgbench.keypoint_accuracy import Accuracy, Outcome, accuracy, pair_errors
+from surgbench.randomness import generator, seed_from
+from surgbench.trackers.keypoints.heatmaps.model import WEIGHTS, load_network, save_network
+from surgbench.trackers.keypoints.heatmaps.network import HeatmapNetwork, NetworkSettings
+from surgbench.trackers.keypoints.heatmaps.patches import Patches
+from surgbench.trackers.keypoints.heatmaps.peaks import exactly_two, find_peaks
+
+STATE = "training.safetensors"
+LOG = "log.csv"
+COLUMNS = (
+    "epoch", "learning_rate", "training_loss", "validation_loss", "detected_percent", "median_error_px",
+    "p95_error_px", "false_pair_percent", "seconds",
+)  # fmt: skip
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Count = Annotated[int, Field(ge=1)]
+
+
+class TrainingSettings(Section):
+    """How the network is trained.
+
+    Attributes:
+        epochs: At most so many passes over the masks.
+        patience: It stops after so many epochs in which the validation loss did not fall.
+        batch: Masks a step.
+        learning_rate: Its peak; it rises over the first epochs and falls along a cosine (Loshchilov and Hutter, ICLR
+            2017).
+        warm_up: Share of the steps in which it rises.
+        weight_decay: Of AdamW (Loshchilov and Hutter, ICLR 2019).
+        sigma_px: Standard deviation of a tip's heat, pixels of the network's picture.
+        least_heat: What a peak must reach when the validation masks are measured.
+        apart_px: As the detector's.
+        bfloat16: Whether the network is trained in mixed precision.
+    """
+
+    epochs: Count = 20
+    patience: Count = 8
+    batch: Count = 64
+    learning_rate: Positive = 1.2e-3
+    warm_up: Annotated[float, Field(ge=0, le=1)] = 0.1
+    weight_decay: Annotated[float, Field(ge=0)] = 0.02
+    sigma_px: Positive = 1.25
+    least_heat: Annotated[float, Field(gt=0, lt=1)] = 0.36
+    apart_px: Count = 2
+    bfloat16: bool = True
+
+
+@dataclass
+class _Progress:
+    """How far a training has come."""
+
+    epoch: int = 0
+    best_loss: float = float("inf")
+    best_epoch: int = -1
+
+
+class Training:
+    """One training, in a folder.
+
+    Args:
+        folder: Where the best weights so far, the log, and what a resumed training needs are written after every epoch.
+        network: Size of the network.
+        settings: How it is trained.
+        seed: Of the first weights, and of the order and looks of the masks.
+        device: ``"cpu"`` or ``"cuda"``.
+        identity: What else the result depends on, as JSON can hold it: a folder with another one is not gone on with.
+        start: A model of the same size whose weights are the first; random ones unless told.
+
+    Raises:
+        SurgbenchError: The folder holds a training with other settings, or a damaged one, or the start is no model of
+            this size; one line.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        network: NetworkSettings,
+        settings: TrainingSettings,
+        seed: int,
+        device: str,
+        identity: dict[str, Any],
+        start: Path | None = None,
+    ) -> None:
+        self._folder, self._size, self._settings, self._seed, self._device = folder, network, settings, seed, device
+        whole = {"network": network.model_dump(), "training": settings.model_dump(), "seed": seed, **identity}
+        if start is not None:
+            whole["start"] = sha256_file(start)
+        self._identity = json.dumps(whole, sort_keys=True)
+        with torch.random.fork_rng():
+            torch.manual_seed(seed_from(purpose="first weights", seed=seed) % 2**63)
+            self._network = HeatmapNetwork(network)
+        if start is not None:
+            weights, size = load_network(start)
+            if size != network:
+                raise SurgbenchError(f"{start}: a network of {size}, not of {network}")
+            self._network.load_state_dict(weights.state_dict())
+        self._network.to(device, memory_format=torch.channels_last)
+        # The same steps in the same order whatever the learning rate is now: it is set before each.
+        self._optimiser = torch.optim.AdamW(self._network.parameters(), lr=0.0, weight_decay=settings.weight_decay)
+        self._state = _Progress()
+        self._log: list[dict[str, Any]] = []
+        if (folder / STATE).exists():
+            self._resume()
+
+    @property
+    def epoch(self) -> int:
+        """How many epochs are done."""
+        return self._state.epoch
+
+    @property
+    def done(self) -> bool:
+        """Whether all epochs are done, or the validation loss has not fallen for too long."""
+        waited = self._state.epoch - 1 - self._state.best_epoch
+        return self._state.epoch >= self._settings.epochs or waited >= self._settings.patience
+
+    def run(
+        self, training: Patches, validation: Patches, progress: Callable[[float], None], say: Callable[[str], None]
+    ) -> None:
+        """Train to the end.
+
+        Args:
+            training: What is learnt.
+            validation: What says when to stop, and which epoch's weights are kept.
+            progress: Told the share of an epoch that was done, so that all add up to the number of epochs.
+            say: Told a line after every epoch.
+        """
+        while not self.done:
+            begin = time.monotonic()
+            rate, loss = self._learn(training, progress)
+            validation_loss, found = self._validate(validation)
+            row = {
+                "epoch": self._state.epoch,
+                "learning_rate": f"{rate:.3g}",
+                "training_loss": f"{loss:.4f}",
+                "validation_loss": f"{validation_loss:.4f}",
+                "detected_percent": _text(found.detected_percent),
+                "median_error_px": _text(found.median_error_px),
+                "p95_error_px": _text(found.p95_error_px),
+                "false_pair_percent": _text(found.false_pair_percent),
+                "seconds": f"{time.monotonic() - begin:.0f}",
+            }
+            self._log.append(row)
+            if validation_loss < self._state.best_loss:
+                self._state.best_loss, self._state.best_epoch = validation_loss, self._state.epoch
+                save_network(self._folder / WEIGHTS, self._network, self._size)
+            self._state.epoch += 1
+            self._keep()
+            say(
+                f"epoch {self._state.epoch}: loss {loss:.3f}, validation {validation_loss:.3f}, "
+                f"detected {row['detected_percent']} %, median {row['median_error_px']} px, "
+                f"false pairs {row['false_pair_percent']} %"
+            )
+
+    def _learn(self, patches: Patches, progress: Callable[[float], None]) -> tuple[float, float]:
+        """One pass; the last learning rate and the mean loss."""
+        settings = self._settings
+        rng = generator(purpose="epoch", seed=self._seed, epoch=self._state.epoch)
+        order = rng.permutation(len(patches))
+        steps = max(len(order) // settings.batch, 1)
+        self._network.train()
+        total, rate = 0.0, 0.0
+        for step in range(steps):
+            rate = self._rate((self._state.epoch * steps + step) / (settings.epochs * steps))
+            for group in self._optimiser.param_groups:
+                group["lr"] = rate
+            chosen = order[step * settings.batch : (step + 1) * settings.batch]
+            pictures, tips = patches.looks(chosen, rng)
+            loss = self._loss(self._logits(pictures), tips)
+            self._optimiser.zero_grad()
+            loss.backward()
+            self._optimiser.step()
+            total += float(loss.detach())
+            progress(1.0 / steps)
+        return rate, total / steps
+
+    def _rate(self, share: float) -> float:
+        """The learning rate when this share of all steps is done."""
+        warm_up = self._settings.warm_up
+        if share < warm_up:
+            return self._settings.learning_rate * (0.04 + 0.96 * share / warm_up)
+        turn = np.pi * (share - warm_up) / max(1.0 - warm_up, 1e-9)
+        return self._settings.learning_rate * 0.5 * (1.0 + float(np.cos(turn)))
+
+    def _logits(self, pictures: NDArray[np.uint8]) -> Tensor:
+        batch = torch.from_numpy(pictures).to(self._device)[:, None].float() / 255.0
+        with torch.autocast(self._device, torch.bfloat16, enabled=self._settings.bfloat16):
+            logits: Tensor = self._network(batch.contiguous(memory_format=torch.channels_last))
+        return logits.float()
+
+    def _loss(self, logits: Tensor, tips: FloatArray) -> Tensor:
+        """Cross entropy of heat and target, summed over pixels; its mean over masks."""
+        target = target_heat(torch.from_numpy(tips).float().to(self._device), logits.shape[-1], self._settings.sigma_px)
+        return functional.binary_cross_entropy_with_logits(logits, target, reduction="sum") / len(logits)
+
+    def _validate(self, patches: Patches) -> tuple[float, Accuracy]:
+        self._network.eval()
+        total, outcomes = 0.0, []
+        with torch.inference_mode():
+            for chosen in _batches(len(patches), self._settings.batch):
+                pictures, tips = patches.looks(chosen, None)
+                logits = self._logits(pictures)
+                total += float(self._loss(logits, tips)) * len(chosen)
+                outcomes += [
+                    Outcome(bool(patches.asked[index]), self._errors(one, places, float(patches.unit_px[index])))
+                    for index, one, places in zip(chosen, logits.cpu().numpy(), tips, strict=True)
+                ]
+        return total / len(patches), accuracy(outcomes)
+
+    def _errors(self, logits: NDArray[np.float32], tips: FloatArray, unit_px: float) -> FloatArray | None:
+        pair = exactly_two(find_peaks(logits, self._settings.least_heat, self._settings.apart_px)[0])
+        return None if pair is None else unit_px * pair_errors(pair, tips)
+
+    def _keep(self) -> None:
+        """Write the log and what a resumed training needs."""
+        table = io.StringIO()
+        writer = csv.DictWriter(table, COLUMNS, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(self._log)
+        write_atomic(self._folder / LOG, table.getvalue().encode())
+        tensors = {f"network.{name}": tensor.contiguous() for name, tensor in self._network.state_dict().items()}
+        for number, moments in self._optimiser.state_dict()["state"].items():
+            tensors |= {f"optimiser.{number}.{name}": value.contiguous() for name, value in moments.items()}
+        header = {
+            "identity": self._identity,
+            "progress": json.dumps(self._state.__dict__),
+            "log": json.dumps(self._log),
+        }
+        write_atomic(self._folder / STATE, save({name: tensor.cpu() for name, tensor in tensors.items()}, header))
+
+    def _resume(self) -> None:
+        path = self._folder / STATE
+        try:
+            with safe_open(path, framework="pt", device=self._device) as file:
+                header = file.metadata() or {}
+                tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+            if header["identity"] != self._identity:
+                raise SurgbenchError(
+                    f"{self._folder}: holds a training with other settings; give another folder, or remove it"
+                )
+            self._state = _Progress(**json.loads(header["progress"]))
+            self._log = json.loads(header["log"])
+            self._network.load_state_dict(_part(tensors, "network."))
+            moments: dict[int, dict[str, Tensor]] = {}
+            for name, tensor in _part(tensors, "optimiser.").items():
+                number, _, key = name.partition(".")
+                moments.setdefault(int(number), {})[key] = tensor
+            self._optimiser.load_state_dict({**self._optimiser.state_dict(), "state": moments})
+        except (SafetensorError, KeyError, ValueError, RuntimeError, TypeError) as error:
+            words = " ".join(str(error).split())
+            raise SurgbenchError(f"{path}: damaged ({words}); remove it to begin anew") from None
+
+
+def target_heat(tips: Tensor, size: int, sigma_px: float) -> Tensor:
+    """Heat around tips: Gaussians of height 1; where two overlap, the higher.
+
+    Args:
+        tips: ``(n, 2, 2)`` float32, column and row; NaN for a tip outside the image.
+        size: Side of the heatmap.
+        sigma_px: Standard deviation.
+
+    Returns:
+        ``(n, size, size)`` float32.
+    """
+    steps = torch.arange(size, dtype=torch.float32, device=tips.device)
+    # A tip outside the image is too far away to warm anything.
+    places = torch.nan_to_num(tips, nan=-1e4)
+    across, down = (torch.exp(-0.5 * ((steps - places[..., axis, None]) / sigma_px) ** 2) for axis in (0, 1))
+    return (down[..., :, None] * across[..., None, :]).amax(dim=1)
+
+
+def _batches(count: int, size: int) -> Iterator[NDArray[np.int64]]:
+    return (np.arange(first, min(first + size, count)) for first in range(0, count, size))
+
+
+def _part(tensors: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:
+    return {name.removeprefix(prefix): tensor for name, tensor in tensors.items() if name.startswith(prefix)}
+
+
+def _text(value: float | None) -> str:
+    return "" if value is None else f"{value:.3f}"

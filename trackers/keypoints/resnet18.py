@@ -1,0 +1,91 @@
+"""The tips as a trained ResNet-18 sees them in the mask: the heatmap network of Hu et al. 2026, ours."""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, ClassVar
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from surgbench.contract import Observation, Plugin, Scene, View
+from surgbench.files import sha256_file
+from surgbench.geometry import FloatArray
+from surgbench.trackers.arm_masks import mask_per_arm
+
+if TYPE_CHECKING:
+    from surgbench.trackers.keypoints.heatmaps.detector import TipDetector
+
+MODELS = Path(__file__).parent / "models"
+HASH_DIGITS = 16
+
+
+class ResNet18Keypoints(Plugin):
+    """Two peaks of a heatmap for each arm's mask; nothing where not exactly two stand out."""
+
+    name: ClassVar[str] = "resnet18"
+    summary: ClassVar[str] = "a trained network (ResNet-18, heatmaps) finds the tips in the mask"
+
+    class Config(BaseModel):
+        """Options."""
+
+        model_config = ConfigDict(frozen=True, extra="forbid")
+
+        model: Annotated[str, Field(description="a model that comes with the package, or a FILE.safetensors")] = (
+            "resnet18"
+        )
+        model_sha256: Annotated[str, Field(description="start of the file's hash; found unless told, and checked")] = ""
+        least_heat: Annotated[float, Field(gt=0, lt=1, description="what a peak must reach to stand out")] = 0.36
+        apart_px: Annotated[int, Field(ge=1, description="peaks nearer than this in the network's picture are one")] = 2
+
+        @model_validator(mode="after")
+        def _find_model(self) -> ResNet18Keypoints.Config:
+            # The hash is an option, so that a record says which weights it was made with.
+            found = sha256_file(self.path)[:HASH_DIGITS]
+            if self.model_sha256 not in ("", found):
+                raise ValueError(f"{self.path} has changed: its hash begins with {found}, not {self.model_sha256}")
+            self.__dict__["model_sha256"] = found
+            return self
+
+        @property
+        def path(self) -> Path:
+            """The model's file.
+
+            Raises:
+                ValueError: There is no such model.
+            """
+            named = MODELS / self.model / "weights.safetensors"
+            path = named if named.is_file() else Path(self.model)
+            if not path.is_file():
+                names = ", ".join(sorted(folder.name for folder in MODELS.iterdir() if folder.is_dir()))
+                raise ValueError(f"no model '{self.model}' (valid: {names}; or a FILE.safetensors)")
+            return path
+
+    def __init__(self, config: Config | None = None) -> None:
+        self.config = config or self.Config()
+        self._detector: TipDetector | None = None
+        self._device = "cpu"
+
+    @classmethod
+    def unavailable(cls) -> str | None:
+        """What this machine lacks, or ``None``."""
+        missing = [name for name in ("torch", "safetensors") if find_spec(name) is None]
+        return f"the package {missing[0]} is not installed" if missing else None
+
+    def reset(self, scene: Scene) -> None:
+        """Load the network, and ask it once, so that no frame pays for that."""
+        from surgbench.trackers.keypoints.heatmaps.detector import TipDetector
+        from surgbench.trackers.keypoints.heatmaps.model import load_network
+
+        if self._detector is None or scene.device != self._device:
+            network, settings = load_network(self.config.path)
+            self._device = scene.device
+            self._detector = TipDetector(network, settings, self.config.least_heat, self.config.apart_px, self._device)
+            self._detector.warm_up()
+
+    def detect(self, observation: Observation, view: View) -> tuple[FloatArray | None, ...]:
+        """Two tips per arm; ``None`` where there are not two, and for both where the arms cannot be told apart."""
+        assert self._detector is not None, "reset comes first"
+        arms = len(view.keypoints)
+        masks = mask_per_arm(view, arms)
+        return (None,) * arms if masks is None else tuple(self._detector.detect(mask) for mask in masks)
