@@ -198,7 +198,8 @@ class TipMasks:
 
     def _corrupted(self, mask: Mask, kind: str, rng: np.random.Generator) -> Mask:
         if kind != "smooth":
-            return corrupt(mask, CORRUPTION_LEVELS[kind], rng)
+            corrupted: Mask = corrupt(mask, CORRUPTION_LEVELS[kind], rng)
+            return corrupted
         sigma = rng.uniform(*self.settings.smooth_px) * mask.shape[1] / PAPER_CAMERA.width
         blurred = cv2.GaussianBlur(corrupt(mask, FATTER, rng).astype(np.float32), (0, 0), max(sigma, 0.1))
         rounded: Mask = blurred > 0.5

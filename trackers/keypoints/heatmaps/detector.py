@@ -85,7 +85,7 @@ class TipDetector:
         """Whether the mirror image is looked at too: a little more or less heat, and there would be a pair or none."""
         low, high = (share * self._least_heat for share in DOUBT)
         heat = find_peaks(logits, low, self._apart_px)[1]
-        return len(heat) > TIPS or (len(heat) == TIPS and heat[1] < high)
+        return len(heat) > TIPS or (len(heat) == TIPS and bool(heat[1] < high))
 
     def warm_up(self) -> None:
         """Ask once: the first answers take longer than the others."""
