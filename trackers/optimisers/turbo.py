@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from scipy.stats import qmc
 
 from surgbench.geometry import FloatArray
-from surgbench.trackers.optimisers.gaussian_process import GaussianProcess, one_thread
+from surgbench.torch_threads import one_thread
+from surgbench.trackers.optimisers.gaussian_process import GaussianProcess
 from surgbench.trackers.optimisers.trust_region import TrustRegion, largest_offset
 
 PERTURBED = 20  # coordinates of a candidate that differ from the best point's, on average, at most
