@@ -12,7 +12,7 @@ import pytest
 from surgbench.cli import main
 
 # For runs in which it does not matter where the tips come from: without the network a run starts two seconds sooner.
-TIPS_GIVEN = ("--keypoints", "observed")
+RUN = ("run", "--keypoints", "observed")
 
 
 def surgbench(*arguments: object, expect: int = 0) -> None:

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from commandline import TIPS_GIVEN, records, surgbench
+from commandline import RUN, records, surgbench
 
 from surgbench.camera import Camera
 from surgbench.change_of_view import ChangeOfView
@@ -225,8 +225,8 @@ def test_trackers_are_shown_the_reported_pose_and_not_the_true_one(made: Path) -
 
 
 def test_a_run_with_a_view_is_a_row_of_its_own(made: Path, tmp_path: Path) -> None:
-    surgbench("run", *TIPS_GIVEN, "--dataset", made, "--tracker", "cmaes", "--out", tmp_path)
-    surgbench("run", *TIPS_GIVEN, "--dataset", made, "--tracker", "cmaes", "--view", "static", "--out", tmp_path)
+    surgbench(*RUN, "--dataset", made, "--tracker", "cmaes", "--out", tmp_path)
+    surgbench(*RUN, "--dataset", made, "--tracker", "cmaes", "--view", "static", "--out", tmp_path)
     rows = {row["row_id"]: row for row in derive_rows(read_records([tmp_path]))}
     assert {id_: (row["views"], row["status"]) for id_, row in rows.items()} == {
         "cmaes": (1, "ok"),
@@ -239,9 +239,7 @@ def test_a_run_with_a_view_is_a_row_of_its_own(made: Path, tmp_path: Path) -> No
 
 def test_gradients_contours_and_particles_take_two_views_too(made: Path, tmp_path: Path) -> None:
     for tracker in ("adam", "hybrid", "particle-filter"):
-        surgbench(
-            "run", *TIPS_GIVEN, "--dataset", made, "--tracker", tracker, "--joints", "--view", "gaze", "--out", tmp_path
-        )
+        surgbench(*RUN, "--dataset", made, "--tracker", tracker, "--joints", "--view", "gaze", "--out", tmp_path)
     found = records(tmp_path)
     assert [record["status"] for record in found] == ["ok"] * 6
 
@@ -252,7 +250,7 @@ def test_what_cannot_be_is_said_in_one_line(made: Path, tmp_path: Path, capsys: 
         (("--tracker", "cmaes", "--view", "gaze", "--arms", "dual"), "shows each arm alone; use --arms single"),
         (("--tracker", f"{Path(__file__).with_name('strangers.py')}:OneEyed", "--view", "gaze"), "one view alone"),
     ):
-        surgbench("run", *TIPS_GIVEN, "--dataset", made, *arguments, "--out", tmp_path, expect=2)
+        surgbench(*RUN, "--dataset", made, *arguments, "--out", tmp_path, expect=2)
         assert message in capsys.readouterr().err
 
 

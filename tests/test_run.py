@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from commandline import TIPS_GIVEN, records, surgbench
+from commandline import RUN, records, surgbench
 
 from surgbench.dataset import Dataset
 from surgbench.generators.generate import generate, plan_dataset
@@ -40,7 +40,7 @@ def without_times(value: Any) -> Any:
 
 
 def test_a_strangers_class_runs(dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    surgbench("run", *TIPS_GIVEN, "--dataset", dataset, "--tracker", f"{STRANGERS}:Still", "--out", tmp_path)
+    surgbench(*RUN, "--dataset", dataset, "--tracker", f"{STRANGERS}:Still", "--out", tmp_path)
     found = records(tmp_path)
     assert [record["spec"]["unit"] for record in found] == ["000-left", "000-right"]
     for record in found:
@@ -53,18 +53,7 @@ def test_a_strangers_class_runs(dataset: Path, tmp_path: Path, capsys: pytest.Ca
 
 
 def test_truth_is_the_start_and_scores_perfectly_in_the_first_frame(dataset: Path, tmp_path: Path) -> None:
-    surgbench(
-        "run",
-        *TIPS_GIVEN,
-        "--dataset",
-        dataset,
-        "--tracker",
-        f"{STRANGERS}:Still",
-        "--out",
-        tmp_path,
-        "--filter",
-        "none",
-    )
+    surgbench(*RUN, "--dataset", dataset, "--tracker", f"{STRANGERS}:Still", "--out", tmp_path, "--filter", "none")
     for record in records(tmp_path):
         for name in ("rotation_error_rad", "translation_error_m", "tip_error_m", "q1_error_rad", "keypoint_error_px"):
             assert record["errors"][name][0] == [0.0]
@@ -74,16 +63,7 @@ def test_truth_is_the_start_and_scores_perfectly_in_the_first_frame(dataset: Pat
 
 
 def test_the_particle_filter_runs_with_kinematics_and_says_so_without(dataset: Path, tmp_path: Path) -> None:
-    asked = (
-        "run",
-        *TIPS_GIVEN,
-        "--dataset",
-        dataset,
-        "--tracker",
-        "particle-filter",
-        "--set",
-        "particle-filter.particles=50",
-    )
+    asked = (*RUN, "--dataset", dataset, "--tracker", "particle-filter", "--set", "particle-filter.particles=50")
     surgbench(*asked, "--joints", "--out", tmp_path / "with")
     assert [record["status"] for record in records(tmp_path / "with")] == ["ok", "ok"]
     surgbench(*asked, "--out", tmp_path / "without", expect=1)
@@ -93,7 +73,7 @@ def test_the_particle_filter_runs_with_kinematics_and_says_so_without(dataset: P
 
 
 def test_observations_hold_no_truth(dataset: Path, tmp_path: Path) -> None:
-    surgbench("run", *TIPS_GIVEN, "--dataset", dataset, "--tracker", f"{STRANGERS}:Peeking", "--out", tmp_path)
+    surgbench(*RUN, "--dataset", dataset, "--tracker", f"{STRANGERS}:Peeking", "--out", tmp_path)
     assert all(record["status"] == "ok" for record in records(tmp_path))
 
 
@@ -112,7 +92,7 @@ def test_a_failing_tracker_costs_its_own_row_only(
     dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str, status: str, message: str, frames: int
 ) -> None:
     trackers = ("--tracker", f"{STRANGERS}:{name}", "--tracker", f"{STRANGERS}:Still")
-    surgbench("run", *TIPS_GIVEN, "--dataset", dataset, *trackers, "--out", tmp_path, "--jobs", "2")
+    surgbench(*RUN, "--dataset", dataset, *trackers, "--out", tmp_path, "--jobs", "2")
     by_row: dict[str, list[dict[str, Any]]] = {}
     for record in records(tmp_path):
         by_row.setdefault(record["spec"]["tracker"]["name"], []).append(record)
@@ -127,18 +107,7 @@ def test_a_failing_tracker_costs_its_own_row_only(
 
 
 def test_a_hanging_tracker_is_given_up(dataset: Path, tmp_path: Path) -> None:
-    command = (
-        "run",
-        *TIPS_GIVEN,
-        "--dataset",
-        dataset,
-        "--tracker",
-        f"{STRANGERS}:Hangs",
-        "--out",
-        tmp_path,
-        "--jobs",
-        "2",
-    )
+    command = (*RUN, "--dataset", dataset, "--tracker", f"{STRANGERS}:Hangs", "--out", tmp_path, "--jobs", "2")
     surgbench(*command, "--timeout", "5", expect=1)
     assert [record["status"] for record in records(tmp_path)] == ["timeout", "timeout"]
 
@@ -148,7 +117,7 @@ def test_recorded_runs_are_not_run_again_and_failed_ones_are(
 ) -> None:
     flag, out = tmp_path / "flag", tmp_path / "runs"
     monkeypatch.setenv("SURGBENCH_TEST_FLAG", str(flag))
-    command = ("run", *TIPS_GIVEN, "--dataset", dataset, "--tracker", f"{STRANGERS}:FailsOnce", "--out", out)
+    command = (*RUN, "--dataset", dataset, "--tracker", f"{STRANGERS}:FailsOnce", "--out", out)
     surgbench(*command, expect=1)
     assert [record["status"] for record in records(out)] == ["failed", "failed"]
     flag.touch()
@@ -165,33 +134,22 @@ def test_recorded_runs_are_not_run_again_and_failed_ones_are(
 
 def test_rows_do_not_depend_on_jobs_order_or_company(dataset: Path, tmp_path: Path) -> None:
     noisy, still = f"{STRANGERS}:Noisy", f"{STRANGERS}:Still"
-    surgbench("run", *TIPS_GIVEN, "--dataset", dataset, "--tracker", noisy, "--out", tmp_path / "a")
+    surgbench(*RUN, "--dataset", dataset, "--tracker", noisy, "--out", tmp_path / "a")
     surgbench(
-        "run",
-        *TIPS_GIVEN,
-        "--dataset",
-        dataset,
-        "--tracker",
-        still,
-        "--tracker",
-        noisy,
-        "--jobs",
-        "2",
-        "--out",
-        tmp_path / "b",
+        *RUN, "--dataset", dataset, "--tracker", still, "--tracker", noisy, "--jobs", "2", "--out", tmp_path / "b"
     )
     one = [without_times(record) for record in records(tmp_path / "a")]
     other = [
         without_times(record) for record in records(tmp_path / "b") if record["spec"]["tracker"]["name"] == "noisy"
     ]
     assert one == other
-    surgbench("run", *TIPS_GIVEN, "--dataset", dataset, "--tracker", noisy, "--seed", "1", "--out", tmp_path / "c")
+    surgbench(*RUN, "--dataset", dataset, "--tracker", noisy, "--seed", "1", "--out", tmp_path / "c")
     assert [record["frames"]["state"] for record in records(tmp_path / "c")] != [r["frames"]["state"] for r in one]
 
 
 def test_killed_in_the_middle_then_resumed_gives_the_same_rows(dataset: Path, tmp_path: Path) -> None:
     """kill -9 after the first record, then the same command: equal but for times and machine."""
-    arguments = ["run", *TIPS_GIVEN, "--dataset", str(dataset), "--tracker", "cmaes", "--repeats", "3"]
+    arguments = [*RUN, "--dataset", str(dataset), "--tracker", "cmaes", "--repeats", "3"]
     killed, whole = tmp_path / "killed", tmp_path / "whole"
     environment = {**os.environ}
     process = subprocess.Popen(
@@ -214,21 +172,8 @@ def test_killed_in_the_middle_then_resumed_gives_the_same_rows(dataset: Path, tm
 
 def test_readings_reach_the_tracker(dataset: Path, tmp_path: Path) -> None:
     """The still tracker returns its start, whose joints are the readings, clipped to the limits."""
-    surgbench(
-        "run", *TIPS_GIVEN, "--dataset", dataset, "--tracker", f"{STRANGERS}:Still", "--joints", "--out", tmp_path
-    )
-    surgbench(
-        "run",
-        *TIPS_GIVEN,
-        "--dataset",
-        dataset,
-        "--tracker",
-        f"{STRANGERS}:Still",
-        "--readings",
-        "true",
-        "--out",
-        tmp_path,
-    )
+    surgbench(*RUN, "--dataset", dataset, "--tracker", f"{STRANGERS}:Still", "--joints", "--out", tmp_path)
+    surgbench(*RUN, "--dataset", dataset, "--tracker", f"{STRANGERS}:Still", "--readings", "true", "--out", tmp_path)
     sequence = Dataset.open(dataset).sequence("000")
     limits = Dataset.open(dataset).instrument("large_needle_driver").search_limits
     readings, states = sequence.readings("left"), sequence.states("left")
@@ -243,7 +188,7 @@ def test_readings_reach_the_tracker(dataset: Path, tmp_path: Path) -> None:
 
 
 def test_two_arms_run_as_a_pair(dataset: Path, tmp_path: Path) -> None:
-    surgbench("run", *TIPS_GIVEN, "--dataset", dataset, "--tracker", "cmaes", "--arms", "dual", "--out", tmp_path)
+    surgbench(*RUN, "--dataset", dataset, "--tracker", "cmaes", "--arms", "dual", "--out", tmp_path)
     (record,) = records(tmp_path)
     assert record["status"] == "ok"
     assert np.shape(record["frames"]["state"]) == (FRAMES, 18)
@@ -251,7 +196,7 @@ def test_two_arms_run_as_a_pair(dataset: Path, tmp_path: Path) -> None:
 
 
 def test_replay_shows_the_runs_own_samples(dataset: Path, tmp_path: Path) -> None:
-    surgbench("run", *TIPS_GIVEN, "--dataset", dataset, "--tracker", "cmaes", "--out", tmp_path)
+    surgbench(*RUN, "--dataset", dataset, "--tracker", "cmaes", "--out", tmp_path)
     record = records(tmp_path)[0]
     traces = replay_traces(record, Dataset.open(dataset), [0, 2])
     assert list(traces) == [0, 2]
@@ -262,18 +207,7 @@ def test_replay_shows_the_runs_own_samples(dataset: Path, tmp_path: Path) -> Non
 
 def test_lags_and_the_filters_time_are_recorded(dataset: Path, tmp_path: Path) -> None:
     """The still tracker stays where it began while the instrument moves on: it trails behind."""
-    surgbench(
-        "run",
-        *TIPS_GIVEN,
-        "--dataset",
-        dataset,
-        "--tracker",
-        f"{STRANGERS}:Still",
-        "--out",
-        tmp_path,
-        "--filter",
-        "none",
-    )
+    surgbench(*RUN, "--dataset", dataset, "--tracker", f"{STRANGERS}:Still", "--out", tmp_path, "--filter", "none")
     for record in records(tmp_path):
         errors, frames = record["errors"], record["frames"]
         assert errors["lag_ms"] == errors["start_lag_ms"]
@@ -283,7 +217,7 @@ def test_lags_and_the_filters_time_are_recorded(dataset: Path, tmp_path: Path) -
 
 
 def test_dry_run_writes_nothing(dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    surgbench("run", *TIPS_GIVEN, "--dataset", dataset, "--tracker", "cmaes", "--dry-run", "--out", tmp_path / "runs")
+    surgbench(*RUN, "--dataset", dataset, "--tracker", "cmaes", "--dry-run", "--out", tmp_path / "runs")
     assert not (tmp_path / "runs").exists()
     captured = capsys.readouterr()
     assert "2 runs, 8 frames" in captured.err
@@ -298,18 +232,7 @@ def test_a_suite_file_runs_its_rows(dataset: Path, tmp_path: Path) -> None:
         "  - {tracker: cmaes, row_id: cmaes-1, options: {cmaes: {iterations: 1}}}\n"
         "  - {tracker: cmaes}\n"
     )
-    surgbench(
-        "run",
-        *TIPS_GIVEN,
-        "--dataset",
-        dataset,
-        "--suite",
-        suite,
-        "--set",
-        "cmaes.population=10",
-        "--out",
-        tmp_path / "runs",
-    )
+    surgbench(*RUN, "--dataset", dataset, "--suite", suite, "--set", "cmaes.population=10", "--out", tmp_path / "runs")
     by_row = {record["spec"]["row_id"]: record["spec"] for record in records(tmp_path / "runs")}
     assert by_row["cmaes-1"]["tracker"]["options"]["iterations"] == 1
     assert by_row["cmaes"]["tracker"]["options"]["iterations"] == 3
@@ -348,7 +271,7 @@ def test_a_suite_file_runs_its_rows(dataset: Path, tmp_path: Path) -> None:
 def test_mistakes_are_answered_in_one_line(
     dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], message: str
 ) -> None:
-    surgbench("run", *TIPS_GIVEN, "--dataset", dataset, "--out", tmp_path / "runs", *arguments, expect=2)
+    surgbench(*RUN, "--dataset", dataset, "--out", tmp_path / "runs", *arguments, expect=2)
     complaint = capsys.readouterr().err
     assert message in complaint
     assert complaint.count("\n") == 1
@@ -374,7 +297,7 @@ def test_wrong_folders_are_answered_in_one_line(
 
 
 def test_a_damaged_record_is_named(dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    command = ("run", *TIPS_GIVEN, "--dataset", dataset, "--tracker", f"{STRANGERS}:Still", "--out", tmp_path)
+    command = (*RUN, "--dataset", dataset, "--tracker", f"{STRANGERS}:Still", "--out", tmp_path)
     surgbench(*command)
     path = next(tmp_path.rglob("000-left-r0.json"))
     path.write_text(path.read_text()[:200])
@@ -388,7 +311,7 @@ def command(*arguments: object) -> list[str]:
 
 
 def test_what_a_tracker_prints_stays_out_of_the_output(dataset: Path, tmp_path: Path) -> None:
-    arguments = command("run", *TIPS_GIVEN, "--dataset", dataset, "--tracker", f"{STRANGERS}:Prints", "--out", tmp_path)
+    arguments = command(*RUN, "--dataset", dataset, "--tracker", f"{STRANGERS}:Prints", "--out", tmp_path)
     done = subprocess.run(arguments, capture_output=True, text=True, check=True)
     assert "seen" not in done.stdout
     assert "seen" in done.stderr
@@ -408,7 +331,7 @@ def workers() -> set[int]:
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGINT])
 def test_no_tracker_outlives_an_interrupted_run(dataset: Path, tmp_path: Path, how: signal.Signals) -> None:
     before = workers()
-    arguments = command("run", *TIPS_GIVEN, "--dataset", dataset, "--tracker", f"{STRANGERS}:Spins", "--out", tmp_path)
+    arguments = command(*RUN, "--dataset", dataset, "--tracker", f"{STRANGERS}:Spins", "--out", tmp_path)
     process = subprocess.Popen(arguments, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)
     deadline = time.monotonic() + 60
     while not workers() - before and time.monotonic() < deadline:
@@ -429,16 +352,7 @@ def test_a_folder_that_cannot_be_written_is_noticed_before_the_work(
     dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "file").touch()
-    arguments = (
-        "run",
-        *TIPS_GIVEN,
-        "--dataset",
-        dataset,
-        "--tracker",
-        f"{STRANGERS}:Still",
-        "--out",
-        tmp_path / "file" / "x",
-    )
+    arguments = (*RUN, "--dataset", dataset, "--tracker", f"{STRANGERS}:Still", "--out", tmp_path / "file" / "x")
     surgbench(*arguments, expect=2)
     assert "cannot be written" in capsys.readouterr().err
 
@@ -452,16 +366,7 @@ def test_a_damaged_dataset_ends_the_run_at_once(
     shutil.copytree(dataset, damaged)
     mask = damaged / "sequences/000/observed/left/000001.png"
     mask.write_bytes(mask.read_bytes()[:60])
-    arguments = (
-        "run",
-        *TIPS_GIVEN,
-        "--dataset",
-        damaged,
-        "--tracker",
-        f"{STRANGERS}:Still",
-        "--out",
-        tmp_path / "runs",
-    )
+    arguments = (*RUN, "--dataset", damaged, "--tracker", f"{STRANGERS}:Still", "--out", tmp_path / "runs")
     surgbench(*arguments, expect=2)
     assert "000001.png" in capsys.readouterr().err
     assert not records(tmp_path / "runs")
@@ -471,7 +376,7 @@ def test_the_papers_tracker_follows_the_mini_dataset(tmp_path: Path) -> None:
     """What `make demo` shows: mask error at most 0.10, rotation at most 0.30 rad, without readings."""
     folder = tmp_path / "mini"
     generate(plan_dataset(load_preset("mini")), folder, jobs=2)
-    surgbench("run", *TIPS_GIVEN, "--dataset", folder, "--tracker", "cmaes", "--jobs", "2", "--out", tmp_path / "runs")
+    surgbench(*RUN, "--dataset", folder, "--tracker", "cmaes", "--jobs", "2", "--out", tmp_path / "runs")
     found = records(tmp_path / "runs")
     assert np.mean([record["errors"]["mask_error"] for record in found]) <= 0.10
     assert np.mean([record["errors"]["rotation_error_rad"] for record in found]) <= 0.30
@@ -480,8 +385,8 @@ def test_the_papers_tracker_follows_the_mini_dataset(tmp_path: Path) -> None:
 def test_a_key_given_twice_is_refused(dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     suite = tmp_path / "suite.yaml"
     suite.write_text("seed: 0\nseed: 1\nrows: [{tracker: cmaes}]\n")
-    surgbench("run", *TIPS_GIVEN, "--dataset", dataset, "--suite", suite, "--out", tmp_path / "runs", expect=2)
+    surgbench(*RUN, "--dataset", dataset, "--suite", suite, "--out", tmp_path / "runs", expect=2)
     assert "'seed' is given twice" in capsys.readouterr().err
     suite.write_text("seed: '1'\nrows: [{tracker: cmaes}]\n")
-    surgbench("run", *TIPS_GIVEN, "--dataset", dataset, "--suite", suite, "--out", tmp_path / "runs", expect=2)
+    surgbench(*RUN, "--dataset", dataset, "--suite", suite, "--out", tmp_path / "runs", expect=2)
     assert "'seed'" in capsys.readouterr().err

@@ -9,7 +9,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from commandline import TIPS_GIVEN, records, surgbench
+from commandline import RUN, records, surgbench
 
 from surgbench.dataset import Dataset
 from surgbench.dataset.import_masks import import_masks
@@ -57,7 +57,7 @@ def test_a_slice_takes_some_of_everything() -> None:
 def test_coverage_is_the_share_of_the_whole_dataset(
     dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    command = ("run", *TIPS_GIVEN, "--dataset", dataset, "--tracker", STILL, "--out", tmp_path)
+    command = (*RUN, "--dataset", dataset, "--tracker", STILL, "--out", tmp_path)
     surgbench(*command, "--sequences", 1, "--frames", 3)
     captured = capsys.readouterr()
     assert "1 runs, 3 frames to track" in captured.err
@@ -72,7 +72,7 @@ def test_coverage_is_the_share_of_the_whole_dataset(
 def test_a_slice_of_sequences_is_a_part_of_the_whole_run(
     dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    command = ("run", *TIPS_GIVEN, "--dataset", dataset, "--tracker", STILL, "--out", tmp_path)
+    command = (*RUN, "--dataset", dataset, "--tracker", STILL, "--out", tmp_path)
     surgbench(*command, "--sequences", 1, "--repeats", 2)
     assert only(tmp_path)["coverage"] == 0.5
     surgbench(*command, "--repeats", 2)
@@ -97,34 +97,21 @@ def test_rows_of_a_suite_have_slices_of_their_own(dataset: Path, tmp_path: Path)
     suite.write_text(
         f"rows:\n  - {{tracker: '{STILL}', row_id: slow, sequences: 1, frames: 2}}\n  - {{tracker: '{STILL}'}}\n"
     )
-    surgbench("run", *TIPS_GIVEN, "--dataset", dataset, "--suite", suite, "--out", tmp_path / "runs")
+    surgbench(*RUN, "--dataset", dataset, "--suite", suite, "--out", tmp_path / "runs")
     shares = {row["row_id"]: row["coverage"] for row in read_rows([tmp_path / "runs"])}
     assert shares == {"slow": 0.25, "still": 1.0}
-    surgbench("run", *TIPS_GIVEN, "--dataset", dataset, "--suite", suite, "--frames", 1, "--out", tmp_path / "short")
+    surgbench(*RUN, "--dataset", dataset, "--suite", suite, "--frames", 1, "--out", tmp_path / "short")
     assert {row["row_id"]: row["frames"] for row in read_rows([tmp_path / "short"])} == {"slow": 1, "still": 2}
 
 
 def test_a_slice_is_replayed_to_its_end(dataset: Path, tmp_path: Path) -> None:
-    surgbench(
-        "run",
-        *TIPS_GIVEN,
-        "--dataset",
-        dataset,
-        "--tracker",
-        "cmaes",
-        "--frames",
-        2,
-        "--sequences",
-        1,
-        "--out",
-        tmp_path,
-    )
+    surgbench(*RUN, "--dataset", dataset, "--tracker", "cmaes", "--frames", 2, "--sequences", 1, "--out", tmp_path)
     (record,) = records(tmp_path)
     assert list(replay_traces(record, Dataset.open(dataset), [1, 3])) == [1]
 
 
 def test_a_small_share_is_not_shown_as_nothing(dataset: Path, tmp_path: Path) -> None:
-    surgbench("run", *TIPS_GIVEN, "--dataset", dataset, "--tracker", STILL, "--sequences", 1, "--out", tmp_path)
+    surgbench(*RUN, "--dataset", dataset, "--tracker", STILL, "--sequences", 1, "--out", tmp_path)
     row = only(tmp_path) | {"coverage": 160 / 32000}
     assert "| 0.5 |" in markdown([row])
 
@@ -134,20 +121,7 @@ def test_a_small_share_is_not_shown_as_nothing(dataset: Path, tmp_path: Path) ->
 
 def test_the_truth_starts_every_frame(dataset: Path, tmp_path: Path) -> None:
     """The still tracker returns its start: with this filter it makes no error, wherever the first start is."""
-    surgbench(
-        "run",
-        *TIPS_GIVEN,
-        "--dataset",
-        dataset,
-        "--tracker",
-        STILL,
-        "--filter",
-        "truth",
-        "--sequences",
-        1,
-        "--out",
-        tmp_path,
-    )
+    surgbench(*RUN, "--dataset", dataset, "--tracker", STILL, "--filter", "truth", "--sequences", 1, "--out", tmp_path)
     for record in records(tmp_path):
         states = Dataset.open(dataset).sequence("000").states(record["spec"]["arms"][0])
         assert states is not None
@@ -161,7 +135,7 @@ def test_the_truth_starts_every_frame(dataset: Path, tmp_path: Path) -> None:
 
 
 def test_a_floor_is_shown_as_one_and_never_as_the_best(dataset: Path, tmp_path: Path) -> None:
-    command = ("run", *TIPS_GIVEN, "--dataset", dataset, "--tracker", STILL, "--sequences", 1, "--out", tmp_path)
+    command = (*RUN, "--dataset", dataset, "--tracker", STILL, "--sequences", 1, "--out", tmp_path)
     surgbench(*command, "--filter", "truth")
     surgbench(*command)
     surgbench(*command, "--filter", "none")
@@ -174,36 +148,14 @@ def test_a_floor_is_shown_as_one_and_never_as_the_best(dataset: Path, tmp_path: 
 
 def test_a_run_with_the_truth_can_be_replayed(dataset: Path, tmp_path: Path) -> None:
     surgbench(
-        "run",
-        *TIPS_GIVEN,
-        "--dataset",
-        dataset,
-        "--tracker",
-        "cmaes",
-        "--filter",
-        "truth",
-        "--sequences",
-        1,
-        "--out",
-        tmp_path,
+        *RUN, "--dataset", dataset, "--tracker", "cmaes", "--filter", "truth", "--sequences", 1, "--out", tmp_path
     )
     (record,) = records(tmp_path)
     assert list(replay_traces(record, Dataset.open(dataset), [2])) == [2]
 
 
 def test_only_a_filter_that_declares_it_is_given_the_truth(dataset: Path, tmp_path: Path) -> None:
-    surgbench(
-        "run",
-        *TIPS_GIVEN,
-        "--dataset",
-        dataset,
-        "--tracker",
-        f"{STRANGERS}:Peeking",
-        "--sequences",
-        1,
-        "--out",
-        tmp_path,
-    )
+    surgbench(*RUN, "--dataset", dataset, "--tracker", f"{STRANGERS}:Peeking", "--sequences", 1, "--out", tmp_path)
     assert [record["status"] for record in records(tmp_path)] == ["ok"]
     assert not any(record["floor"] for record in records(tmp_path))
     with pytest.raises(ConfigError, match="needs a method 'give_truth'"):
@@ -219,7 +171,7 @@ def test_a_floor_needs_a_dataset_with_truth(tmp_path: Path, capsys: pytest.Captu
     camera = {"width": 40, "height": 30, "fx": 60.0, "fy": 61.0, "cx": 19.0, "cy": 14.5}
     (source / "camera.json").write_text(json.dumps(camera))
     import_masks(source, tmp_path / "data")
-    command = ("run", *TIPS_GIVEN, "--dataset", tmp_path / "data", "--tracker", STILL, "--out", tmp_path / "runs")
+    command = (*RUN, "--dataset", tmp_path / "data", "--tracker", STILL, "--out", tmp_path / "runs")
     surgbench(*command, "--filter", "truth", expect=2)
     complaint = capsys.readouterr().err
     assert "filter 'truth' needs ground truth, which 'source' has not; use --filter kalman" in complaint
@@ -232,7 +184,7 @@ def test_a_floor_needs_a_dataset_with_truth(tmp_path: Path, capsys: pytest.Captu
 def test_what_cannot_run_here_is_skipped_with_its_reason(
     dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    command = ("run", *TIPS_GIVEN, "--dataset", dataset, "--tracker", f"{STRANGERS}:NotHere", "--out", tmp_path)
+    command = (*RUN, "--dataset", dataset, "--tracker", f"{STRANGERS}:NotHere", "--out", tmp_path)
     surgbench(*command)
     captured = capsys.readouterr()
     reason = "tracker 'not-here' cannot run here: needs a left-handed compiler"
@@ -248,18 +200,7 @@ def test_what_cannot_run_here_is_skipped_with_its_reason(
 def test_what_was_skipped_is_tried_again(
     dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    command = (
-        "run",
-        *TIPS_GIVEN,
-        "--dataset",
-        dataset,
-        "--tracker",
-        f"{STRANGERS}:NotHere",
-        "--sequences",
-        1,
-        "--out",
-        tmp_path,
-    )
+    command = (*RUN, "--dataset", dataset, "--tracker", f"{STRANGERS}:NotHere", "--sequences", 1, "--out", tmp_path)
     surgbench(*command)
     cls: Any = find("tracker", f"{STRANGERS}:NotHere").cls
     monkeypatch.setattr(cls, "unavailable", classmethod(lambda cls: None))
@@ -274,7 +215,7 @@ def test_what_was_skipped_is_tried_again(
 @pytest.mark.parametrize(("tracker", "code"), [("Still", 0), ("ReturnsNan", 1)])
 def test_skips_alone_are_no_failure_and_hide_none(dataset: Path, tmp_path: Path, tracker: str, code: int) -> None:
     trackers = ("--tracker", f"{STRANGERS}:NotHere", "--tracker", f"{STRANGERS}:{tracker}")
-    surgbench("run", *TIPS_GIVEN, "--dataset", dataset, *trackers, "--sequences", 1, "--out", tmp_path, expect=code)
+    surgbench(*RUN, "--dataset", dataset, *trackers, "--sequences", 1, "--out", tmp_path, expect=code)
     assert [row["status"] for row in read_rows([tmp_path])].count("skipped") == 1
 
 
