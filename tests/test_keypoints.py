@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import torch
 from commandline import records, surgbench
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from safetensors.torch import save_file
 from support import observe, resting_state, scene_of
@@ -130,6 +130,7 @@ coordinate = st.floats(8, SIZE - 9)
 
 @settings(max_examples=60)
 @given(coordinate, coordinate, st.floats(0, 6.28), st.floats(6, 40))
+@example(8.0, 8.0, 0.0, 6.5)  # halfway between two pixels, which are equally hot
 def test_two_tips_are_found_to_a_fraction_of_a_pixel(u: float, v: float, way: float, apart: float) -> None:
     other = np.clip(np.array([u, v]) + apart * np.array([np.cos(way), np.sin(way)]), 4, SIZE - 5)
     places = np.array([[u, v], other])

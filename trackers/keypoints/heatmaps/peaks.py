@@ -32,6 +32,7 @@ def find_peaks(logits: NDArray[np.float32], least_heat: float, apart_px: int) ->
     least = np.log(least_heat / (1.0 - least_heat))
     rows, columns = np.nonzero((logits >= hottest) & (logits >= least))
     order = np.argsort(-logits[rows, columns], kind="stable")
+    order = order[_first_of_alike(rows[order], columns[order], apart_px)]
     rows, columns = rows[order], columns[order]
     last = len(logits) - 1
 
@@ -43,6 +44,15 @@ def find_peaks(logits: NDArray[np.float32], least_heat: float, apart_px: int) ->
     across = _top(log_heat(rows, columns - 1), here, log_heat(rows, columns + 1))
     down = _top(log_heat(rows - 1, columns), here, log_heat(rows + 1, columns))
     return np.stack([columns + across, rows + down], axis=1), np.exp(here)
+
+
+def _first_of_alike(rows: NDArray[np.int64], columns: NDArray[np.int64], apart_px: int) -> list[int]:
+    """Which pixels remain where equally hot ones lie near each other: a top halfway between two pixels is one peak."""
+    kept: list[int] = []
+    for index, (row, column) in enumerate(zip(rows, columns, strict=True)):
+        if all(max(abs(row - rows[one]), abs(column - columns[one])) > apart_px for one in kept):
+            kept.append(index)
+    return kept
 
 
 def _top(before: FloatArray, here: FloatArray, after: FloatArray) -> FloatArray:

@@ -1,7 +1,7 @@
 """Trains the heatmap network on labelled masks; an interrupted training goes on where its last epoch ended.
 
 Everything random comes from the seed and the number of the epoch, so that a resumed training sees what an uninterrupted
-one would have seen. Nothing is pickled: the state of the training is a safetensors file too.
+one would have seen.
 """
 
 from __future__ import annotations
@@ -10,8 +10,7 @@ import csv
 import io
 import json
 import time
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -19,8 +18,6 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from pydantic import Field
-from safetensors import SafetensorError, safe_open
-from safetensors.torch import save
 from torch import Tensor
 from torch.nn import functional
 
@@ -30,6 +27,7 @@ from surgbench.files import sha256_file, write_atomic
 from surgbench.geometry import FloatArray
 from surgbench.keypoint_accuracy import Accuracy, Outcome, accuracy, pair_errors
 from surgbench.randomness import generator, seed_from
+from surgbench.trackers.keypoints.heatmaps.checkpoint import Progress, keep, resume
 from surgbench.trackers.keypoints.heatmaps.model import WEIGHTS, load_network, save_network
 from surgbench.trackers.keypoints.heatmaps.network import HeatmapNetwork, NetworkSettings
 from surgbench.trackers.keypoints.heatmaps.patches import Patches
@@ -63,7 +61,7 @@ class TrainingSettings(Section):
         bfloat16: Whether the network is trained in mixed precision.
     """
 
-    epochs: Count = 20
+    epochs: Count = 14
     patience: Count = 8
     batch: Count = 64
     learning_rate: Positive = 1.2e-3
@@ -73,15 +71,6 @@ class TrainingSettings(Section):
     least_heat: Annotated[float, Field(gt=0, lt=1)] = 0.36
     apart_px: Count = 2
     bfloat16: bool = True
-
-
-@dataclass
-class _Progress:
-    """How far a training has come."""
-
-    epoch: int = 0
-    best_loss: float = float("inf")
-    best_epoch: int = -1
 
 
 class Training:
@@ -127,10 +116,10 @@ class Training:
         self._network.to(device, memory_format=torch.channels_last)
         # The same steps in the same order whatever the learning rate is now: it is set before each.
         self._optimiser = torch.optim.AdamW(self._network.parameters(), lr=0.0, weight_decay=settings.weight_decay)
-        self._state = _Progress()
+        self._state = Progress()
         self._log: list[dict[str, Any]] = []
         if (folder / STATE).exists():
-            self._resume()
+            self._state, self._log = resume(folder / STATE, self._identity, self._network, self._optimiser)
 
     @property
     def epoch(self) -> int:
@@ -174,7 +163,8 @@ class Training:
                 self._state.best_loss, self._state.best_epoch = validation_loss, self._state.epoch
                 save_network(self._folder / WEIGHTS, self._network, self._size)
             self._state.epoch += 1
-            self._keep()
+            self._write_log()
+            keep(self._folder / STATE, self._identity, self._network, self._optimiser, self._state, self._log)
             say(
                 f"epoch {self._state.epoch}: loss {loss:.3f}, validation {validation_loss:.3f}, "
                 f"detected {row['detected_percent']} %, median {row['median_error_px']} px, "
@@ -226,7 +216,8 @@ class Training:
         self._network.eval()
         total, outcomes = 0.0, []
         with torch.inference_mode():
-            for chosen in _batches(len(patches), self._settings.batch):
+            order = np.arange(len(patches))
+            for chosen in np.split(order, range(self._settings.batch, len(order), self._settings.batch)):
                 pictures, tips = patches.looks(chosen, None)
                 logits = self._logits(pictures)
                 total += float(self._loss(logits, tips)) * len(chosen)
@@ -240,44 +231,12 @@ class Training:
         pair = exactly_two(find_peaks(logits, self._settings.least_heat, self._settings.apart_px)[0])
         return None if pair is None else unit_px * pair_errors(pair, tips)
 
-    def _keep(self) -> None:
-        """Write the log and what a resumed training needs."""
+    def _write_log(self) -> None:
         table = io.StringIO()
         writer = csv.DictWriter(table, COLUMNS, lineterminator="\n")
         writer.writeheader()
         writer.writerows(self._log)
         write_atomic(self._folder / LOG, table.getvalue().encode())
-        tensors = {f"network.{name}": tensor.contiguous() for name, tensor in self._network.state_dict().items()}
-        for number, moments in self._optimiser.state_dict()["state"].items():
-            tensors |= {f"optimiser.{number}.{name}": value.contiguous() for name, value in moments.items()}
-        header = {
-            "identity": self._identity,
-            "progress": json.dumps(self._state.__dict__),
-            "log": json.dumps(self._log),
-        }
-        write_atomic(self._folder / STATE, save({name: tensor.cpu() for name, tensor in tensors.items()}, header))
-
-    def _resume(self) -> None:
-        path = self._folder / STATE
-        try:
-            with safe_open(path, framework="pt", device=self._device) as file:
-                header = file.metadata() or {}
-                tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-            if header["identity"] != self._identity:
-                raise SurgbenchError(
-                    f"{self._folder}: holds a training with other settings; give another folder, or remove it"
-                )
-            self._state = _Progress(**json.loads(header["progress"]))
-            self._log = json.loads(header["log"])
-            self._network.load_state_dict(_part(tensors, "network."))
-            moments: dict[int, dict[str, Tensor]] = {}
-            for name, tensor in _part(tensors, "optimiser.").items():
-                number, _, key = name.partition(".")
-                moments.setdefault(int(number), {})[key] = tensor
-            self._optimiser.load_state_dict({**self._optimiser.state_dict(), "state": moments})
-        except (SafetensorError, KeyError, ValueError, RuntimeError, TypeError) as error:
-            words = " ".join(str(error).split())
-            raise SurgbenchError(f"{path}: damaged ({words}); remove it to begin anew") from None
 
 
 def target_heat(tips: Tensor, size: int, sigma_px: float) -> Tensor:
@@ -296,14 +255,6 @@ def target_heat(tips: Tensor, size: int, sigma_px: float) -> Tensor:
     places = torch.nan_to_num(tips, nan=-1e4)
     across, down = (torch.exp(-0.5 * ((steps - places[..., axis, None]) / sigma_px) ** 2) for axis in (0, 1))
     return (down[..., :, None] * across[..., None, :]).amax(dim=1)
-
-
-def _batches(count: int, size: int) -> Iterator[NDArray[np.int64]]:
-    return (np.arange(first, min(first + size, count)) for first in range(0, count, size))
-
-
-def _part(tensors: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:
-    return {name.removeprefix(prefix): tensor for name, tensor in tensors.items() if name.startswith(prefix)}
 
 
 def _text(value: float | None) -> str:
