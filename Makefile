@@ -8,6 +8,8 @@ SETUP := $(VENV)/.setup-done
 EXTRAS := $(VENV)/.extras-done
 DEMO := demo
 PIP := $(BIN)/python -m pip install --disable-pip-version-check -q -c constraints.txt
+# Two files of tests at a time. A test that fails alone is run without: .venv/bin/python -m pytest FILE
+PYTEST := python -m pytest -q -n 2 --dist loadfile
 
 .PHONY: demo test lint types unit wheel-test extras-test setup clean
 
@@ -30,7 +32,7 @@ types: $(SETUP)
 	$(BIN)/mypy
 
 unit: $(SETUP)
-	$(BIN)/python -m pytest -q
+	$(BIN)/$(PYTEST)
 
 # The only check that the wheel holds every file: install it elsewhere and run tests from another folder, those that
 # use each kind of packaged file (the others would say the same twice).
@@ -40,7 +42,7 @@ wheel-test: $(SETUP)
 	$(BIN)/python -m build -q --wheel --no-isolation --outdir build/wheel-test .
 	$(BIN)/python -m pip install --disable-pip-version-check -q --no-deps --target build/wheel-test/site build/wheel-test/*.whl
 	cd build/wheel-test/elsewhere && PYTHONPATH=../site SURGBENCH_EXPECT_SITE="$(CURDIR)/build/wheel-test/site" \
-		../../../$(BIN)/python -m pytest -q -c ../../../pyproject.toml --rootdir ../../.. \
+		../../../$(BIN)/$(PYTEST) -c ../../../pyproject.toml --rootdir ../../.. \
 		$(WHEEL_TESTS:%=../../../tests/test_%.py) \
 		../../../tests/test_run.py::test_the_papers_tracker_follows_the_mini_dataset
 
@@ -48,7 +50,7 @@ wheel-test: $(SETUP)
 EXTRAS_TESTS := instrument reproduce turbo viewpoint_run
 extras-test: $(EXTRAS)
 	$(BIN)/mypy
-	$(BIN)/python -m pytest -q $(EXTRAS_TESTS:%=tests/test_%.py)
+	$(BIN)/$(PYTEST) $(EXTRAS_TESTS:%=tests/test_%.py)
 
 setup: $(SETUP)
 

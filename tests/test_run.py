@@ -317,11 +317,14 @@ def test_what_a_tracker_prints_stays_out_of_the_output(dataset: Path, tmp_path: 
     assert "seen" in done.stderr
 
 
-def workers() -> set[int]:
+def workers(mark: str) -> set[int]:
+    """The worker processes of the one run that was started with ``MARK`` in its environment."""
     found = set()
     for folder in Path("/proc").glob("[0-9]*"):
         try:
-            if b"surgbench.suite.worker" in (folder / "cmdline").read_bytes():
+            if b"surgbench.suite.worker" not in (folder / "cmdline").read_bytes():
+                continue
+            if f"MARK={mark}\0".encode() in (folder / "environ").read_bytes():
                 found.add(int(folder.name))
         except OSError:
             continue
@@ -330,12 +333,15 @@ def workers() -> set[int]:
 
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGINT])
 def test_no_tracker_outlives_an_interrupted_run(dataset: Path, tmp_path: Path, how: signal.Signals) -> None:
-    before = workers()
+    mark = str(tmp_path)
     arguments = command(*RUN, "--dataset", dataset, "--tracker", f"{STRANGERS}:Spins", "--out", tmp_path)
-    process = subprocess.Popen(arguments, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)
+    process = subprocess.Popen(
+        arguments, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True, env={**os.environ, "MARK": mark}
+    )
     deadline = time.monotonic() + 60
-    while not workers() - before and time.monotonic() < deadline:
+    while not workers(mark) and time.monotonic() < deadline:
         time.sleep(0.05)
+    assert workers(mark)
     time.sleep(2.0)
     process.send_signal(how)
     complaint = process.communicate(timeout=30)[1]
@@ -343,9 +349,9 @@ def test_no_tracker_outlives_an_interrupted_run(dataset: Path, tmp_path: Path, h
         assert process.returncode == 130
         assert complaint.splitlines()[-1] == "surgbench: interrupted; the same command again goes on from here"
         assert "Traceback" not in complaint
-    while workers() - before and time.monotonic() < deadline:
+    while workers(mark) and time.monotonic() < deadline:
         time.sleep(0.05)
-    assert not workers() - before
+    assert not workers(mark)
 
 
 def test_a_folder_that_cannot_be_written_is_noticed_before_the_work(
