@@ -1,6 +1,6 @@
 """Masks with known tips, to train keypoint detectors on: the hypothesis space of Liang et al., corrupted.
 
-Poses are those of :mod:`surgbench.hypotheses`, the wrist anywhere in the image or a little outside. Every mask has its
+Poses are those of :mod:`surgbench.hypotheses`, the wrist anywhere in the image. Every mask has its
 own stream of random numbers, so that it does not depend on which others are made. Masks are painted by the engine's
 silhouettes, which give the same pixels as the renderer of datasets (``tests/test_silhouette.py``) without Mitsuba.
 """
@@ -80,7 +80,7 @@ class TipMaskSettings(Section):
     """
 
     instrument: str = "large_needle_driver"
-    variants: Annotated[int, Field(ge=1, le=64)] = 12
+    variants: Annotated[int, Field(ge=1, le=64)] = 48
     body_scale: Range = (0.94, 1.08)
     shaft_radius_scale: Range = (0.94, 1.06)
     jaw_extra_m: Range = (-0.0005, 0.001)
@@ -152,22 +152,13 @@ class TipMasks:
             clean = painter.mask(state)
             if clean.any():
                 break
-        tips = painter.tips_cam(state)
-        tips_px = camera.project(tips)
         kind = str(rng.choice(list(settings.corruption), p=list(settings.corruption.values())))
         mask = self._corrupted(clean, kind, rng)
-        px_per_m = float(camera.fx / max(tips[:, 2].mean(), 1e-3))
-        shows = painter.show(state, tips_px, px_per_m)
-        for tip in np.flatnonzero(shows):
-            place, outline_px = tips_px[tip], OUTLINE_M * px_per_m
-            shows[tip] = _any_within(mask, place, CLEAR_M * px_per_m) and _any_within(
-                ~mask, place, outline_px + FATTER_PX
-            )
         return LabelledMask(
             mask=mask,
             camera=camera,
-            tips_px=tips_px,
-            shows=shows,
+            tips_px=camera.project(painter.instrument.tips_cam(state)),
+            shows=painter.shows(state, mask),
             opening_rad=float(state[-1]),
             corruption=kind,
         )
@@ -206,11 +197,16 @@ class TipMasks:
         return rounded
 
 
-class _Painter:
-    """Paints one instrument in one camera, and tells which tips its other parts cover."""
+class Painter:
+    """Paints one instrument in one camera, and tells which tips its masks show.
+
+    Args:
+        instrument: With exactly two tips, on links of their own.
+        camera: What sees it.
+    """
 
     def __init__(self, instrument: Instrument, camera: Camera) -> None:
-        self._instrument, self._camera = instrument, camera
+        self.instrument, self._camera = instrument, camera
         jaws = {tip.link for tip in instrument.spec.tips}
         self._hinges = tuple(LinkPoint(link=tip.link, point_m=(0.0, 0.0, 0.0)) for tip in instrument.spec.tips)
         self._whole = SilhouetteEvaluator([instrument], camera)
@@ -223,20 +219,29 @@ class _Painter:
         """``(H, W)`` bool."""
         return self._whole.mask(state)
 
-    def tips_cam(self, state: FloatArray) -> FloatArray:
-        """``(2, 3)`` metres."""
-        tips: FloatArray = self._instrument.tips_cam(state)
-        return tips
+    def shows(self, state: FloatArray, mask: Mask) -> np.ndarray:
+        """Which tips can be seen in a mask, ``(2,)`` bool; see :class:`~surgbench.labelled.LabelledMask`.
 
-    def show(self, state: FloatArray, tips_px: FloatArray, px_per_m: float) -> np.ndarray:
-        """``(2,)`` bool: in the image, clear of the silhouettes of body and hinge, and not in that of the other jaw."""
+        Args:
+            state: ``(9,)`` true state.
+            mask: ``(H, W)`` what became of its mask.
+        """
+        tips = self.instrument.tips_cam(state)
+        tips_px = self._camera.project(tips)
+        hinges_px = self._camera.project(self.instrument.points_cam(state, self._hinges))
+        px_per_m = float(self._camera.fx / max(tips[:, 2].mean(), 1e-3))
+        clear_px, outline_px = CLEAR_M * px_per_m, OUTLINE_M * px_per_m + FATTER_PX
         shows = np.zeros(len(tips_px), dtype=bool)
-        hinges_px = self._camera.project(self._instrument.points_cam(state, self._hinges))
         for tip, (other_jaw, place) in enumerate(zip(self._other_jaws, tips_px, strict=True)):
             sticks_out = np.linalg.norm(place - hinges_px[tip]) >= HINGE_M * px_per_m
-            if self._camera.contains(place) and sticks_out:
-                bare = not self._touches(other_jaw, state, place, 0)
-                shows[tip] = bare and not self._touches(self._body, state, place, round(CLEAR_M * px_per_m))
+            shows[tip] = (
+                self._camera.contains(place)
+                and sticks_out
+                and not self._touches(other_jaw, state, place, 0)
+                and not self._touches(self._body, state, place, round(clear_px))
+                and _any_within(mask, place, clear_px)
+                and _any_within(~mask, place, outline_px)
+            )
         return shows
 
     def _touches(self, part: SilhouetteEvaluator, state: FloatArray, place: FloatArray, radius_px: int) -> bool:
@@ -259,14 +264,14 @@ def _any_within(pixels: Mask, place_px: FloatArray, radius_px: float) -> bool:
     return bool((away <= radius_px).any())
 
 
-def _painter(settings: TipMaskSettings, part: str, variant: int, camera: Camera) -> _Painter:
+def _painter(settings: TipMaskSettings, part: str, variant: int, camera: Camera) -> Painter:
     ranges = (settings.body_scale, settings.shaft_radius_scale, settings.jaw_extra_m)
     return _cached_painter(settings.instrument, part, variant, ranges, camera)
 
 
 @lru_cache(maxsize=256)
-def _cached_painter(name: str, part: str, variant: int, ranges: tuple[Range, Range, Range], camera: Camera) -> _Painter:
+def _cached_painter(name: str, part: str, variant: int, ranges: tuple[Range, Range, Range], camera: Camera) -> Painter:
     rng = generator(purpose="tip masks", part=part, variant=variant)
     body, shaft, jaw = (rng.uniform(*bounds) for bounds in ranges)
     dimensions = Mismatch(body_scale=body, shaft_radius_scale=shaft, jaw_extra_m=jaw)
-    return _Painter(real_instrument(load_instrument(name), dimensions), camera)
+    return Painter(real_instrument(load_instrument(name), dimensions), camera)

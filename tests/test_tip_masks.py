@@ -12,7 +12,7 @@ from surgbench.config import parse_model
 from surgbench.errors import ConfigError
 from surgbench.generators.presets import PAPER_CAMERA
 from surgbench.generators.render import MaskRenderer
-from surgbench.generators.tip_masks import TipMasks, TipMaskSettings, _Painter
+from surgbench.generators.tip_masks import Painter, TipMasks, TipMaskSettings
 from surgbench.geometry import FloatArray
 from surgbench.instrument import load_instrument
 from surgbench.keypoint_accuracy import accuracy, outcome, pair_errors
@@ -74,33 +74,42 @@ def test_tips_that_show_lie_on_the_mask() -> None:
 
 
 def test_open_jaws_show_and_closed_ones_seen_edge_on_cover_each_other() -> None:
-    painter = _Painter(load_instrument("large_needle_driver"), PAPER_CAMERA)
+    painter = Painter(load_instrument("large_needle_driver"), PAPER_CAMERA)
     edge_on = facing(0.0)
     edge_on[1] = np.pi / 2
     for state, expected in ((facing(0.5), True), (edge_on, False)):
-        tips = PAPER_CAMERA.project(painter.tips_cam(state))
-        assert painter.show(state, tips, 7000.0).all() == expected
+        assert painter.shows(state, painter.mask(state)).all() == expected
 
 
 def test_a_tip_before_the_shaft_does_not_show() -> None:
     """Bent back over the shaft the jaws are hidden in the silhouette, whichever is nearer."""
-    painter = _Painter(load_instrument("large_needle_driver"), PAPER_CAMERA)
+    painter = Painter(load_instrument("large_needle_driver"), PAPER_CAMERA)
     looking_along = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.13, 0.0, 0.0, 0.2])  # the shaft away from the camera
-    assert not painter.show(looking_along, PAPER_CAMERA.project(painter.tips_cam(looking_along)), 7000.0).any()
+    assert not painter.shows(looking_along, painter.mask(looking_along)).any()
 
 
 def test_tips_outside_the_image_do_not_show() -> None:
-    painter = _Painter(load_instrument("large_needle_driver"), PAPER_CAMERA)
+    painter = Painter(load_instrument("large_needle_driver"), PAPER_CAMERA)
     state = facing(0.5) + np.array([0, 0, 0, 0.08, 0, 0, 0, 0, 0])
-    tips = PAPER_CAMERA.project(painter.tips_cam(state))
-    assert not PAPER_CAMERA.contains(tips).any()
-    assert not painter.show(state, tips, 7000.0).any()
+    assert not PAPER_CAMERA.contains(PAPER_CAMERA.project(painter.instrument.tips_cam(state))).any()
+    assert not painter.shows(state, painter.mask(state)).any()
+
+
+def test_a_tip_that_the_corruption_ate_or_buried_does_not_show() -> None:
+    painter = Painter(load_instrument("large_needle_driver"), PAPER_CAMERA)
+    state = facing(0.5)
+    mask = painter.mask(state)
+    u, v = np.round(PAPER_CAMERA.project(painter.instrument.tips_cam(state))[0]).astype(int)
+    for covered in (False, True):
+        spoilt = mask.copy()
+        spoilt[v - 15 : v + 16, u - 15 : u + 16] = covered
+        assert painter.shows(state, spoilt).tolist() == [False, True]
 
 
 def test_masks_are_those_of_the_datasets_renderer() -> None:
     """Engine and Mitsuba agree but for pixel centres within rounding of an edge."""
     instrument = load_instrument("large_needle_driver")
-    painter, renderer = _Painter(instrument, PAPER_CAMERA), MaskRenderer([instrument], PAPER_CAMERA, threads=1)
+    painter, renderer = Painter(instrument, PAPER_CAMERA), MaskRenderer([instrument], PAPER_CAMERA, threads=1)
     for state in (SEEN, facing(0.5)):
         assert np.count_nonzero(painter.mask(state) != renderer.mask(state)) <= 2
 
