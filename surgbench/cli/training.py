@@ -30,7 +30,7 @@ Count = Annotated[int, Field(ge=1)]
 class Counts(Section):
     """How many masks are learnt, how many say when to stop, and how many the accuracy is measured on."""
 
-    training: Count = 20_000
+    training: Count = 60_000
     validation: Count = 1_000
     test: Count = 2_000
 

@@ -27,17 +27,21 @@ DOUBT = (0.6, 1.5)
 
 @dataclass(frozen=True)
 class Look:
-    """What the network saw and said, for pictures.
+    """What the network saw and said.
 
     Attributes:
         square: Where it looked.
         picture: ``(s, s)`` uint8, what it was given.
         logits: ``(s, s)`` float32.
+        peaks: ``(n, 2)`` column and row of the peaks, the hottest first, those that are a little too cold included.
+        heat: ``(n,)`` theirs.
     """
 
     square: Square
     picture: NDArray[np.uint8]
     logits: NDArray[np.float32]
+    peaks: FloatArray
+    heat: FloatArray
 
 
 class TipDetector:
@@ -71,9 +75,11 @@ class TipDetector:
         with torch.inference_mode(), one_thread():
             one = torch.from_numpy(picture).to(self._device)[None, None].float() / 255.0
             logits = self._ask(one)
-            if self._in_doubt(logits):
+            peaks, heat = self._peaks(logits)
+            if self._in_doubt(heat):
                 logits = 0.5 * (logits + self._ask(one.flip(-1))[:, ::-1])
-        return Look(square, picture, logits)
+                peaks, heat = self._peaks(logits)
+        return Look(square, picture, logits, peaks, heat)
 
     def _ask(self, pictures: torch.Tensor) -> NDArray[np.float32]:
         logits: NDArray[np.float32] = (
@@ -81,11 +87,12 @@ class TipDetector:
         )
         return logits
 
-    def _in_doubt(self, logits: NDArray[np.float32]) -> bool:
+    def _peaks(self, logits: NDArray[np.float32]) -> tuple[FloatArray, FloatArray]:
+        return find_peaks(logits, DOUBT[0] * self._least_heat, self._apart_px)
+
+    def _in_doubt(self, heat: FloatArray) -> bool:
         """Whether the mirror image is looked at too: a little more or less heat, and there would be a pair or none."""
-        low, high = (share * self._least_heat for share in DOUBT)
-        heat = find_peaks(logits, low, self._apart_px)[1]
-        return len(heat) > TIPS or (len(heat) == TIPS and bool(heat[1] < high))
+        return len(heat) > TIPS or (len(heat) == TIPS and bool(heat[1] < DOUBT[1] * self._least_heat))
 
     def warm_up(self) -> None:
         """Ask once: the first answers take longer than the others."""
@@ -99,7 +106,7 @@ class TipDetector:
         look = self.look(mask)
         if look is None:
             return None
-        tips = exactly_two(find_peaks(look.logits, self._least_heat, self._apart_px)[0])
+        tips = exactly_two(look.peaks[look.heat >= self._least_heat])
         return None if tips is None else look.square.to_image(tips, self._size)
 
 

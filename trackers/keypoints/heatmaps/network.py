@@ -29,7 +29,7 @@ class NetworkSettings(Section):
     """
 
     width: Annotated[int, Field(ge=4, le=256)] = 24
-    head: Annotated[int, Field(ge=4, le=256)] = 24
+    head: Annotated[int, Field(ge=4, le=256)] = 16
     input_px: Annotated[int, Field(ge=32, le=1024, multiple_of=32)] = 128
 
 
