@@ -88,7 +88,8 @@ class TipDetector:
         return logits
 
     def _peaks(self, logits: NDArray[np.float32]) -> tuple[FloatArray, FloatArray]:
-        return find_peaks(logits, DOUBT[0] * self._least_heat, self._apart_px)
+        peaks: tuple[FloatArray, FloatArray] = find_peaks(logits, DOUBT[0] * self._least_heat, self._apart_px)
+        return peaks
 
     def _in_doubt(self, heat: FloatArray) -> bool:
         """Whether the mirror image is looked at too: a little more or less heat, and there would be a pair or none."""

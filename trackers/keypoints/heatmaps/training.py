@@ -124,13 +124,13 @@ class Training:
     @property
     def epoch(self) -> int:
         """How many epochs are done."""
-        return self._state.epoch
+        return int(self._state.epoch)
 
     @property
     def done(self) -> bool:
         """Whether all epochs are done, or the validation loss has not fallen for too long."""
         waited = self._state.epoch - 1 - self._state.best_epoch
-        return self._state.epoch >= self._settings.epochs or waited >= self._settings.patience
+        return bool(self._state.epoch >= self._settings.epochs or waited >= self._settings.patience)
 
     def run(
         self, training: Patches, validation: Patches, progress: Callable[[float], None], say: Callable[[str], None]
