@@ -264,13 +264,13 @@ def test_the_model_is_small_and_says_where_it_is_from() -> None:
 
 
 def test_it_finds_the_tips_of_masks_that_it_was_not_trained_on(source: ResNet18Keypoints, camera: Camera) -> None:
-    """What it should reach, less two standard errors of so few masks; results/keypoints has many."""
+    """Bounds of the issue, on few masks; results/keypoints has many."""
     published = HELD_OUT.model_copy(update={"corruption": {"published": 1.0}})
-    masks = TipMasks(published, 250, seed=11, part="test")
+    masks = TipMasks(published, 600, seed=11, part="test")
     seen = measure(source, masks, load_instrument("large_needle_driver"), lambda _: None)
     found = accuracy([one.outcome for one in seen])
     assert found.detected_percent is not None
-    assert found.detected_percent >= 95 - 200 * np.sqrt(0.95 * 0.05 / found.masks)
+    assert found.detected_percent >= 93
     assert found.median_error_px is not None
     assert found.median_error_px <= 1.5
     assert found.p95_error_px is not None

@@ -7,13 +7,14 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from safetensors import SafetensorError, safe_open
+from safetensors import SafetensorError
 from safetensors.torch import save
 from torch import Tensor
 from torch.optim import Optimizer
 
 from surgbench.errors import SurgbenchError
 from surgbench.files import write_atomic
+from surgbench.trackers.keypoints.heatmaps.model import read_tensors
 from surgbench.trackers.keypoints.heatmaps.network import HeatmapNetwork
 
 Log = list[dict[str, Any]]
@@ -61,9 +62,7 @@ def resume(path: Path, identity: str, network: HeatmapNetwork, optimiser: Optimi
         SurgbenchError: The file is damaged, or of a training with another identity; one line.
     """
     try:
-        with safe_open(path, framework="pt", device=str(next(network.parameters()).device)) as file:
-            header = file.metadata() or {}
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (it is no dictionary)
+        header, tensors = read_tensors(path, str(next(network.parameters()).device))
         if header["identity"] != identity:
             raise SurgbenchError(
                 f"{path.parent}: holds a training with other settings; give another folder, or remove it"

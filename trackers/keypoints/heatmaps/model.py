@@ -30,6 +30,17 @@ def save_network(path: Path, network: HeatmapNetwork, settings: NetworkSettings)
     write_atomic(path, save(tensors, {FORMAT: settings.model_dump_json()}))
 
 
+def read_tensors(path: Path, device: str = "cpu") -> tuple[dict[str, str], dict[str, torch.Tensor]]:
+    """Header and tensors of a safetensors file.
+
+    Raises:
+        SafetensorError: It is damaged.
+        OSError: It cannot be read.
+    """
+    with safe_open(path, framework="pt", device=device) as file:
+        return file.metadata() or {}, {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (no dictionary)
+
+
 def load_network(path: Path) -> tuple[HeatmapNetwork, NetworkSettings]:
     """Read a network.
 
@@ -40,9 +51,7 @@ def load_network(path: Path) -> tuple[HeatmapNetwork, NetworkSettings]:
         SurgbenchError: There is no such file, it is damaged, or holds another network; one line.
     """
     try:
-        with safe_open(path, framework="pt") as file:
-            header = file.metadata() or {}
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (it is no dictionary)
+        header, tensors = read_tensors(path)
     except (SafetensorError, ValueError) as error:
         raise SurgbenchError(f"{path}: no readable safetensors file ({' '.join(str(error).split())})") from None
     except OSError as error:
