@@ -112,6 +112,24 @@ def test_a_dilated_mask_does_not_read_as_a_nearer_instrument(camera: Camera) -> 
     assert abs(found.state[5] - truth[5]) < 0.3e-3 < abs(without.state[5] - truth[5])
 
 
+def test_a_mask_of_another_instrument_weighs_little(camera: Camera) -> None:
+    """Edges that are wrong by more than rounding are wrong together, and do not outvote what was known before."""
+    scene, truth = scene_of(camera), resting_state()
+    evaluator = SilhouetteEvaluator(scene.instruments, camera)
+    own = evaluator.mask(truth)
+    # Edges that a segmentation has moved by 3 px, outward and inward from one block of 32 px to the next.
+    thick = cv2.dilate(own.astype(np.uint8), np.ones((7, 7), np.uint8)) > 0
+    thin = cv2.erode(own.astype(np.uint8), np.ones((7, 7), np.uint8)) > 0
+    rows, columns = np.indices(own.shape) // 32
+    ragged = np.where((rows + columns) % 2 == 0, thick, thin)
+    prior = Prior(truth, np.eye(STATE_SIZE))
+    weight = {}
+    for name, mask in (("own", own), ("ragged", ragged)):
+        fit = ContourFit(scene, evaluator, STATE_SCALE, FitConfig())
+        weight[name] = np.trace(fit(truth, seen(scene, mask), prior).information)
+    assert weight["ragged"] < weight["own"] / 20
+
+
 def test_nothing_to_see_leaves_the_prior(camera: Camera) -> None:
     scene, truth = scene_of(camera), resting_state()
     evaluator = SilhouetteEvaluator(scene.instruments, camera)

@@ -15,10 +15,12 @@ from surgbench.errors import SurgbenchError
 from surgbench.geometry import FloatArray
 from surgbench.metrics import choose_twin, pose_errors
 from surgbench.silhouette import Reference, SilhouetteEvaluator
+from surgbench.state import JOINTS, JointLimits
 from surgbench.trackers.cmaes import CmaesTracker
 from surgbench.trackers.filters.kalman import KalmanFilter
 from surgbench.trackers.filters.none import NoFilter
 from surgbench.trackers.initialisers.random import RandomInitialiser
+from surgbench.trackers.initialisers.refinement import least_bent
 from surgbench.trackers.initialisers.thickness import thickness_weights
 from surgbench.trackers.initialisers.truth import TruthInitialiser
 from surgbench.trackers.optimisers.cma import CMA
@@ -275,13 +277,20 @@ def test_random_initialiser_tells_two_arms_apart(camera: Camera) -> None:
     assert state[3] < 0 < state[12]
 
 
-def test_thin_parts_weigh_as_much_as_thick_ones() -> None:
+def test_of_states_that_fit_alike_the_least_bent_wrist_is_taken() -> None:
+    limits = JointLimits(np.array([-1.5, -1.0, 0.0]), np.array([1.5, 1.0, 1.4]))
+    states = np.zeros((3, 9))
+    states[:, JOINTS] = [[-1.45, 0.1, 0.5], [0.9, 0.2, 0.0], [0.1, -0.8, 1.4]]
+    np.testing.assert_array_equal(least_bent(states, limits), states[1])
+
+
+def test_thin_parts_weigh_more_than_thick_ones() -> None:
     mask = np.zeros((80, 120), dtype=bool)
     mask[20:60, :60] = True
     mask[38:42, 60:110] = True
     weights = thickness_weights(mask)
     assert weights[40, 30] == pytest.approx(1.0, abs=0.3)
-    assert weights[40, 90] > 5
+    assert weights[40, 90] == pytest.approx(10**0.5, rel=0.2)
     assert weights.min() >= 1.0
 
 

@@ -1,7 +1,9 @@
 """What initialisers share once they have hypotheses: scoring, and refining the best by CMA-ES.
 
 The shaft dominates the silhouette, so that the best of a few thousand hypotheses tell it and little else. Therefore
-the roll about it and the joints are drawn anew around the best shafts, ranked and refined once more.
+the roll about it and the joints are drawn anew around the best shafts, ranked and refined once more. Of those that then
+explain the mask about as well, the one whose wrist is least bent is taken: a real instrument is never quite the one
+that is modelled, and what the mask does not decide is seldom at a joint's limit.
 """
 
 from __future__ import annotations
@@ -38,6 +40,7 @@ class RefinementConfig(BaseModel):
     finalists: Annotated[Count, Field(description="best states that are refined to the end")] = 4
     generations: Annotated[tuple[int, int], Field(description="of a refinement, and of the last one")] = (20, 100)
     population: Annotated[int, Field(ge=4, description="samples a generation")] = 70
+    as_good: Annotated[float, Field(ge=0, description="share of the best loss by which another may be worse")] = 0.15
     loss: LossWeights = LossWeights()
 
     @property
@@ -45,7 +48,7 @@ class RefinementConfig(BaseModel):
         """States that :func:`finish` scores."""
         short, long = self.generations
         refinements = (2 * self.refined + self.shafts) * short + self.finalists * long
-        return self.redrawn + self.population * refinements
+        return self.redrawn + self.population * refinements + self.finalists
 
 
 class Scorer:
@@ -149,7 +152,16 @@ def finish(
     shafts = refine(hypotheses, WIDE, short, config.shafts)
     anew = score.best(_draw_anew(shafts, config.redrawn, observation, drawn, rng), config.refined)
     finalists = refine(np.concatenate([shafts, anew]), WIDE, short, config.finalists)
-    best: FloatArray = refine(finalists, 1.0, long, 1)[0]
+    ended = refine(finalists, 1.0, long, config.finalists)
+    losses = score(ended)
+    return least_bent(ended[losses <= (1.0 + config.as_good) * losses.min()], scene.limits[0])
+
+
+def least_bent(states: FloatArray, limits: JointLimits) -> FloatArray:
+    """That of ``(n, 9)`` states whose pitch and yaw of the wrist are farthest from their limits."""
+    middle, half = (limits.upper_rad + limits.lower_rad) / 2, (limits.upper_rad - limits.lower_rad) / 2
+    bent = np.abs((states[:, JOINTS] - middle) / half)[:, :2].max(axis=1)
+    best: FloatArray = states[int(np.argmin(bent))]
     return best
 
 

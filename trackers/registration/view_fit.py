@@ -18,6 +18,9 @@ from surgbench.trackers.registration.edges import explained_lengths, find_edges,
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 FEWEST_POINTS = 8
+MEDIAN_TO_SD = 1.4826  # standard deviation over median of absolute deviations, of Gaussian numbers
+ROUNDING_PX = 0.37  # what that makes of edges that are wrong by the pixel grid alone, up to half a pixel
+MEMORY = 0.9  # of how wrong edges are, from frame to frame
 NARROWING = 0.6  # of the robust width, from one iteration to the next
 EXPLAINED_PX = 2.0
 
@@ -31,6 +34,9 @@ class FitConfig(BaseModel):
     spacing_px: Annotated[int, Field(ge=1, description="rows and columns from one contour point to the next")] = 1
     reach_px: Annotated[int, Field(ge=1, description="how far edges are looked for")] = 14
     edge_px: Annotated[Positive, Field(description="standard deviation of an edge, for one pixel of contour")] = 1.5
+    alike_px: Annotated[float, Field(ge=0, description="contour along which what is wrong beside that is alike")] = (
+        200.0
+    )
     width_px: Annotated[Positive, Field(description="offsets beyond it count ever less (Geman-McClure)")] = 2.0
     offset_px: Annotated[Positive, Field(description="standard deviation of the offset common to all edges")] = 0.5
     tip_px: Annotated[Positive, Field(description="standard deviation of a tip keypoint")] = 3.0
@@ -94,6 +100,9 @@ class ViewFit:
         self._scale = scale if calibrated else np.concatenate([scale, CALIBRATION])
         # What the pose is wrong by, in CALIBRATION's units: what is known before a frame, and after its first fit.
         self._known = self._learned = np.zeros(6), np.eye(6)
+        # Variance of edges beyond that of rounding, px²: over the frames so far, and in this one.
+        self._excess: float | None = None
+        self._seen_excess: float | None = None
 
     def next_frame(self) -> None:
         """What was learned in the last frame is known in the next, but for what has changed since."""
@@ -105,6 +114,7 @@ class ViewFit:
         self._view = view
         self.offset_px = 0.0
         self._width: float | None = None
+        self._seen_excess = None
         self._place(np.zeros(0) if self._calibrated else self._known[0])
 
     def _place(self, pose: FloatArray) -> None:
@@ -148,11 +158,14 @@ class ViewFit:
         self._width = max(self._config.width_px, NARROWING * self._width)
 
     def learn(self, others: FloatArray) -> None:
-        """Keep what this fit says of the view's pose, for the frames to come.
+        """Keep what this fit says of the view's edges and pose, for the frames to come.
 
         Args:
             others: ``(n, n)`` what is known of the state from elsewhere, natural steps.
         """
+        if self._seen_excess is not None:
+            before = self._seen_excess if self._excess is None else self._excess
+            self._excess = MEMORY * before + (1.0 - MEMORY) * self._seen_excess
         if self._calibrated:
             return
         A, n = self._with_pose, self._size
@@ -183,10 +196,14 @@ class ViewFit:
             self._width = config.width_px
             return np.zeros((size, size)), np.zeros(size), 0.0, float(contour.lengths_px.sum())
         if self._width is None:
-            # Twice what the median of absolute deviations makes of the standard deviation.
-            self._width = max(config.width_px, 2.0 * 1.4826 * float(np.median(np.abs(found))))
+            self._width = max(config.width_px, 2.0 * MEDIAN_TO_SD * float(np.median(np.abs(found))))
         A, b = normal_equations(offsets, contour, self._scale, self._width)
-        variance = config.edge_px**2
+        # What is wrong by more than rounding (an instrument that is not quite this one, a segmentation's edges) is much
+        # the same along a part: counted as if every pixel told of it anew, a thousand of them would outvote all else.
+        spread = MEDIAN_TO_SD * float(np.median(np.abs(found - np.median(found))))
+        self._seen_excess = max(spread**2 - ROUNDING_PX**2, 0.0)
+        excess = self._seen_excess if self._excess is None else self._excess
+        variance = config.edge_px**2 + config.alike_px * excess
         return A / variance, b / variance, *explained_lengths(contour, offsets, self.offset_px, EXPLAINED_PX)
 
     def _add_tips(self, A: FloatArray, b: FloatArray, state: FloatArray, own: FloatArray) -> None:
