@@ -19,7 +19,6 @@ from surgbench.trackers.registration.edges import explained_lengths, find_edges,
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 FEWEST_POINTS = 8
 MEDIAN_TO_SD = 1.4826  # standard deviation over median of absolute deviations, of Gaussian numbers
-ROUNDING_PX = 0.37  # what that makes of edges that are wrong by the pixel grid alone, up to half a pixel
 MEMORY = 0.9  # of how wrong edges are, from frame to frame
 NARROWING = 0.6  # of the robust width, from one iteration to the next
 EXPLAINED_PX = 2.0
@@ -34,9 +33,10 @@ class FitConfig(BaseModel):
     spacing_px: Annotated[int, Field(ge=1, description="rows and columns from one contour point to the next")] = 1
     reach_px: Annotated[int, Field(ge=1, description="how far edges are looked for")] = 14
     edge_px: Annotated[Positive, Field(description="standard deviation of an edge, for one pixel of contour")] = 1.5
-    alike_px: Annotated[float, Field(ge=0, description="contour along which what is wrong beside that is alike")] = (
-        200.0
-    )
+    fits_px: Annotated[Positive, Field(description="spread of edges that fit: of the pixel grid, and a little")] = 0.45
+    alike_px: Annotated[
+        float, Field(ge=0, description="contour along which what they are wrong by beyond that is alike")
+    ] = 200.0
     width_px: Annotated[Positive, Field(description="offsets beyond it count ever less (Geman-McClure)")] = 2.0
     offset_px: Annotated[Positive, Field(description="standard deviation of the offset common to all edges")] = 0.5
     tip_px: Annotated[Positive, Field(description="standard deviation of a tip keypoint")] = 3.0
@@ -100,7 +100,7 @@ class ViewFit:
         self._scale = scale if calibrated else np.concatenate([scale, CALIBRATION])
         # What the pose is wrong by, in CALIBRATION's units: what is known before a frame, and after its first fit.
         self._known = self._learned = np.zeros(6), np.eye(6)
-        # Variance of edges beyond that of rounding, px²: over the frames so far, and in this one.
+        # Variance of edges beyond that of edges that fit, px²: over the frames so far, and in this one.
         self._excess: float | None = None
         self._seen_excess: float | None = None
 
@@ -198,10 +198,10 @@ class ViewFit:
         if self._width is None:
             self._width = max(config.width_px, 2.0 * MEDIAN_TO_SD * float(np.median(np.abs(found))))
         A, b = normal_equations(offsets, contour, self._scale, self._width)
-        # What is wrong by more than rounding (an instrument that is not quite this one, a segmentation's edges) is much
-        # the same along a part: counted as if every pixel told of it anew, a thousand of them would outvote all else.
+        # What edges are wrong by beyond the pixel grid (the instrument is not quite this one, a segmentation cuts
+        # corners) is much the same along a part: as if every pixel told of it anew, it would outvote all else.
         spread = MEDIAN_TO_SD * float(np.median(np.abs(found - np.median(found))))
-        self._seen_excess = max(spread**2 - ROUNDING_PX**2, 0.0)
+        self._seen_excess = max(spread**2 - config.fits_px**2, 0.0)
         excess = self._seen_excess if self._excess is None else self._excess
         variance = config.edge_px**2 + config.alike_px * excess
         return A / variance, b / variance, *explained_lengths(contour, offsets, self.offset_px, EXPLAINED_PX)
