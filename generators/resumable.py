@@ -21,6 +21,7 @@ from surgbench.dataset.format import MANIFEST_NAME, MARKER_NAME, CommonManifest,
 from surgbench.dataset.storage import storage_error
 from surgbench.errors import ConfigError, DatasetError, SurgbenchError
 from surgbench.files import PARTIAL_SUFFIX, write_atomic
+from surgbench.interruption import without_ctrl_c
 
 # A file takes at least a block of the disk.
 BLOCK_BYTES = 4096
@@ -239,19 +240,6 @@ def ctrl_c_raises() -> bool:
     return threading.current_thread() is threading.main_thread() and not ignored
 
 
-@contextmanager
-def _without_ctrl_c() -> Iterator[None]:
-    """Hold Ctrl-C back until the end, from processes started meanwhile for good.
-
-    To ignore it is not enough for a worker: Mitsuba's own handler would leave the image in hand unfinished.
-    """
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
 def in_workers(
     tasks: Iterable[Any],
     do: Callable[[Any], int],
@@ -286,7 +274,7 @@ def in_workers(
                 while len(waiting) >= 2 * jobs:
                     waiting = _collect(waiting, progress)
                 # Workers start in here, and keep the block.
-                with _without_ctrl_c():
+                with without_ctrl_c():
                     waiting.add(pool.submit(do, task))
             while waiting:
                 waiting = _collect(waiting, progress)

@@ -19,6 +19,7 @@ from pydantic import Field, model_validator
 from surgbench.camera import Camera
 from surgbench.config import Section
 from surgbench.contract import Mask
+from surgbench.errors import ConfigError
 from surgbench.generators.corruption import corrupt
 from surgbench.generators.mismatch import real_instrument
 from surgbench.generators.presets import CORRUPTION_LEVELS, PAPER_CAMERA, Corruption, Morphology
@@ -37,6 +38,7 @@ LIANG_CAMERA = Camera(width=640, height=480, fx=1025.88223, fy=1025.88223, cx=16
 WIDE_CAMERA = Camera(width=640, height=480, fx=700.0, fy=700.0, cx=319.5, cy=239.5)
 
 Range = tuple[float, float]
+JawExtra = Annotated[float, Field(ge=-0.005, le=0.02)]
 Kind = Literal["none", "published", "strong", "smooth"]
 SHARES: dict[Kind, float] = {"none": 0.1, "published": 0.5, "strong": 0.15, "smooth": 0.25}
 # A segmentation network's mask: too fat, thin parts above all, and computed at a lower resolution, so that its corners
@@ -47,6 +49,7 @@ FATTER = Corruption(
     blobs=(),
 )
 NEARLY_CLOSED_RAD = 0.2
+TRIES = 1000
 # A tip nearer than this to the silhouette of shaft and wrist hardly sticks out of it; and where no pixel of the mask is
 # left so near to a tip, the corruption has eaten it.
 CLEAR_M = 0.001
@@ -81,13 +84,13 @@ class TipMaskSettings(Section):
 
     instrument: str = "large_needle_driver"
     variants: Annotated[int, Field(ge=1, le=64)] = 48
-    body_scale: Range = (0.94, 1.08)
-    shaft_radius_scale: Range = (0.94, 1.06)
-    jaw_extra_m: Range = (-0.0005, 0.001)
+    body_scale: tuple[Positive, Positive] = (0.94, 1.08)
+    shaft_radius_scale: tuple[Positive, Positive] = (0.94, 1.06)
+    jaw_extra_m: tuple[JawExtra, JawExtra] = (-0.0005, 0.001)
     cameras: Annotated[tuple[Camera, ...], Field(min_length=1)] = (PAPER_CAMERA, LIANG_CAMERA, WIDE_CAMERA)
     distance_m: tuple[Positive, Positive] = (0.08, 0.20)
     elevation_deg: Range = (20.0, 75.0)
-    margin: NotNegative = 0.0
+    margin: Fraction = 0.0
     pitch_rad: Positive = 1.3963
     yaw_rad: Positive = 1.3963
     jaw_rad: tuple[NotNegative, NotNegative] = (0.0, 1.2)
@@ -107,11 +110,24 @@ class TipMaskSettings(Section):
         return self
 
 
-# The space that the paper's network is trained on (released code; the wrist there is within 1 cm of the optical axis,
-# here anywhere): what accuracies are told on.
-HELD_OUT = TipMaskSettings(
-    distance_m=(0.10, 0.17), elevation_deg=(30.0, 60.0), pitch_rad=1.3, yaw_rad=1.1, jaw_rad=(0.0, 1.2)
-)
+def in_published_space(settings: TipMaskSettings) -> TipMaskSettings:
+    """The same instrument, cameras and corruption in the poses that accuracies are told on.
+
+    They are those that the paper's network is trained on (released code; the wrist there is within 1 cm of the optical
+    axis, here anywhere).
+    """
+    return settings.model_copy(
+        update={
+            "distance_m": (0.10, 0.17),
+            "elevation_deg": (30.0, 60.0),
+            "pitch_rad": 1.3,
+            "yaw_rad": 1.1,
+            "jaw_rad": (0.0, 1.2),
+        }
+    )
+
+
+HELD_OUT = in_published_space(TipMaskSettings())
 
 
 class TipMasks:
@@ -140,6 +156,7 @@ class TipMasks:
 
         Raises:
             IndexError: There are not so many.
+            ConfigError: The settings hardly ever place the instrument in the image.
         """
         if not 0 <= index < self.count:
             raise IndexError(index)
@@ -147,11 +164,13 @@ class TipMasks:
         rng = generator(purpose="tip masks", part=self.part, seed=self.seed, index=index)
         camera = settings.cameras[rng.integers(len(settings.cameras))]
         painter = _painter(settings, self.part, int(rng.integers(settings.variants)), camera)
-        while True:
+        for _ in range(TRIES):
             state = self._state(camera, rng)
             clean = painter.mask(state)
             if clean.any():
                 break
+        else:
+            raise ConfigError(f"data: no instrument in the image in {TRIES} tries; see distance_m and margin")
         kind = str(rng.choice(list(settings.corruption), p=list(settings.corruption.values())))
         mask = self._corrupted(clean, kind, rng)
         return LabelledMask(

@@ -22,8 +22,8 @@ class LabelledMask:
         camera: The camera that sees it.
         tips_px: ``(2, 2)`` true tips (u, v), pixels; inside the image or not.
         shows: ``(2,)`` bool: the tip can be seen in the mask. It is inside the image, sticks out of the silhouette of
-            shaft, wrist and hinge by at least 1 mm, is not in that of the other jaw, and the corruption has neither
-            eaten nor buried it.
+            shaft and wrist by at least 1 mm and out of its own hinge, is not in that of the other jaw, and the
+            corruption has neither eaten nor buried it.
         opening_rad: q3, the angle of each jaw from the midline.
         corruption: How the mask was corrupted, by name.
     """
@@ -42,7 +42,7 @@ class LabelledMask:
 
     @property
     def both_show(self) -> bool:
-        """Whether a detector should find both tips."""
+        """Whether both tips can be seen in the mask."""
         return bool(self.shows.all())
 
 

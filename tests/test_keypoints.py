@@ -324,9 +324,10 @@ def blobs() -> Mask:
         np.ones((3, 2), bool),
         np.eye(40, dtype=bool),
         np.pad(np.ones((2, 2), bool), 100),
+        np.ones((1, 900), bool),
         np.asfortranarray(blobs()),
     ],
-    ids=["empty", "full", "blobs", "pixel", "tiny", "line", "speck", "column-major"],
+    ids=["empty", "full", "blobs", "pixel", "tiny", "line", "speck", "strip", "column-major"],
 )
 def test_masks_that_show_no_instrument_have_no_tips(source: ResNet18Keypoints, mask: Mask) -> None:
     assert detect(source, mask) == (None,)

@@ -12,12 +12,15 @@ import pytest
 import torch
 from commandline import surgbench
 
+from surgbench.camera import Camera
+from surgbench.cli.training import KeypointTraining
 from surgbench.errors import SurgbenchError
-from surgbench.generators.tip_masks import TipMasks, TipMaskSettings
+from surgbench.generators.tip_masks import HELD_OUT, TipMasks, TipMaskSettings
 from surgbench.trackers.keypoints.heatmaps.model import load_network
 from surgbench.trackers.keypoints.heatmaps.network import NetworkSettings
 from surgbench.trackers.keypoints.heatmaps.patches import Patches, cut_patches
 from surgbench.trackers.keypoints.heatmaps.training import Training, TrainingSettings, target_heat
+from surgbench.trackers.keypoints.resnet18 import MODELS
 
 NETWORK = NetworkSettings(width=4, head=4, input_px=32)
 SHORT = TrainingSettings(epochs=3, batch=8, bfloat16=False)
@@ -170,6 +173,8 @@ def test_the_command_trains_and_its_model_is_one(tmp_path: Path, capsys: pytest.
         ("training: {epoch: 3}", "did you mean 'epochs'?"),
         ("network: {input_px: 100}", "multiple of 32"),
         ("masks: {training: 0}", "masks.training"),
+        ("data: {body_scale: [-1, 0]}", "body_scale"),
+        ("data: {instrument: nothing}", "nothing"),
     ],
 )
 def test_wrong_files_are_told_in_one_line(
@@ -181,6 +186,34 @@ def test_wrong_files_are_told_in_one_line(
     assert message in complaint
     assert complaint.count("\n") == 1
     assert not (tmp_path / "model").exists()
+
+
+def test_a_model_that_is_there_is_not_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    shipped = MODELS / "resnet18" / "weights.safetensors"
+    model = tmp_path / "weights.safetensors"
+    model.write_bytes(shipped.read_bytes())
+    (tmp_path / "tiny.yaml").write_text(TINY)
+    surgbench("train", "keypoints", tmp_path / "tiny.yaml", "--out", tmp_path, "--jobs", 1, expect=2)
+    assert "holds a model of other settings" in capsys.readouterr().err
+    assert model.read_bytes() == shipped.read_bytes()
+
+
+def test_masks_without_an_instrument_are_told() -> None:
+    masks = TipMasks(TipMaskSettings(distance_m=(60.0, 80.0)), 4, 0, "training")
+    with pytest.raises(SurgbenchError, match="no instrument is seen in any of 4 masks"):
+        cut_patches(masks, NETWORK.input_px, 1, quiet)
+
+
+def test_a_model_is_tested_on_its_own_instrument_and_cameras() -> None:
+    cameras = (Camera(width=320, height=240, fx=400.0, fy=400.0, cx=159.5, cy=119.5),)
+    test = KeypointTraining(data=TipMaskSettings(cameras=cameras, pitch_rad=0.1)).part("test").settings
+    assert test.cameras == cameras
+    assert test.pitch_rad == HELD_OUT.pitch_rad
+
+
+def test_a_training_that_diverges_is_told(tmp_path: Path, patches: Patches) -> None:
+    with pytest.raises(SurgbenchError, match="diverged in epoch 1"):
+        trained(tmp_path, patches, SHORT.model_copy(update={"learning_rate": 1e30}))
 
 
 def test_unknown_files_are_told_with_the_nearest(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

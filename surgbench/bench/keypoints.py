@@ -117,7 +117,7 @@ class Group:
 def groups(source: str, seen: Sequence[Seen]) -> list[Group]:
     """All masks, and by corruption and jaw opening."""
     result = [_group(source, "all", "all", seen)]
-    for name in dict.fromkeys(sorted(one.corruption for one in seen)):
+    for name in sorted({one.corruption for one in seen}):
         result.append(_group(source, "corruption", name, [one for one in seen if one.corruption == name]))
     for low, high in pairwise(OPENINGS_RAD):
         part = [one for one in seen if low <= one.opening_rad < high]

@@ -24,6 +24,9 @@ if TYPE_CHECKING:
 PICTURED = 24
 # What datasets are corrupted like, unless their preset says otherwise: the accuracy that one figure stands for.
 USUAL = "published"
+HEADINGS = (
+    "keypoints", "masks", "asked", "detected\n%", "median\npx", "95 %\npx", "others", "false pairs\n%", "ms",
+)  # fmt: skip
 
 
 def print_groups(rows: Sequence[Group], console: Console) -> None:
@@ -37,11 +40,6 @@ def print_groups(rows: Sequence[Group], console: Console) -> None:
     for group in rows:
         sheet.add_row(*_cells(group))
     console.print(sheet)
-
-
-HEADINGS = (
-    "keypoints", "masks", "asked", "detected\n%", "median\npx", "95 %\npx", "others", "false pairs\n%", "ms",
-)  # fmt: skip
 
 
 def _cells(group: Group) -> list[str]:
@@ -64,18 +62,20 @@ def _text(value: float | None) -> str:
 
 
 def write_report(
-    out: Path, rows: Sequence[Group], seen: Mapping[str, Sequence[Seen]], masks: LabelledMasks, seed: int
+    out: Path, rows: Sequence[Group], seen: Mapping[str, Sequence[Seen]], masks: LabelledMasks, command: str
 ) -> None:
-    """Write ``metrics.json`` (the first source on masks corrupted as datasets are), ``accuracy.csv``, ``accuracy.md``,
-    and for each source ``<name>-worst.png`` and ``<name>-examples.png``.
+    """Write a comparison to a folder.
+
+    ``metrics.json`` (the first source on masks corrupted as datasets are), ``accuracy.csv``, ``accuracy.md``, and for
+    each source ``<name>-worst.png`` and ``<name>-examples.png``.
 
     Args:
         out: The folder.
         rows: All groups.
         seen: By source, what it made of each mask.
         masks: The masks.
-        seed: Theirs.
-    """  # noqa: D205
+        command: What made it.
+    """
     first = next(iter(seen))
     headline = next(
         (group for group in rows if group.source == first and group.value == USUAL),
@@ -83,8 +83,7 @@ def write_report(
     )
     metrics = {
         **headline.row(),
-        "seed": seed,
-        "command": f"surgbench bench keypoints --masks {len(masks)} --seed {seed}",
+        "command": command,
         "processor": environment()["machine"]["processor"],
     }
     write_atomic(out / "metrics.json", (json.dumps(metrics, indent=1) + "\n").encode())

@@ -102,7 +102,7 @@ def keypoints(
     from surgbench.suite.suites import parse_sets
 
     options = parse_sets(set_ or [])
-    found = [find("keypoints", name) for name in source or ["resnet18", "corners"]]
+    found = [find("keypoints", name) for name in dict.fromkeys(source or ["resnet18", "corners"])]
     names = [one.name for one in found]
     for one in found:
         if one.unavailable is not None:
@@ -110,6 +110,8 @@ def keypoints(
     for name in options:
         if name not in names:
             raise ConfigError(f"--set {name}.…: '{name}' takes no part (taking part: {', '.join(names)})")
+    if out is not None:
+        out.mkdir(parents=True, exist_ok=True)
     test = TipMasks(HELD_OUT, masks, seed, "test")
     instrument = load_instrument(HELD_OUT.instrument)
     with progress("masks", masks * len(found)) as bar:
@@ -120,7 +122,9 @@ def keypoints(
     else:
         print_groups(rows, Console())
     if out is not None:
-        write_report(out, rows, seen, test, seed)
+        words = ["surgbench bench keypoints", *(f"--keypoints {one.name}" for one in found)]
+        words += [*(f"--set {text}" for text in set_ or []), f"--masks {masks} --seed {seed}"]
+        write_report(out, rows, seen, test, " ".join(words))
         print(out, file=sys.stderr if as_json else sys.stdout)
 
 

@@ -42,8 +42,9 @@ def keypoints(
 
     Example: surgbench train keypoints resnet18 --out models/mine --masks 20000
 
-    Use the result with --keypoints resnet18 --set resnet18.model=models/mine/weights.safetensors. Weights, log and
-    validation curve are written after every epoch; after an interruption the same command goes on where it stopped.
+    Use the result with --keypoints resnet18 --set resnet18.model=models/mine/weights.safetensors. The best weights and
+    the log of losses and accuracies are written after every epoch, the log's picture and the accuracy at the end; after
+    an interruption the same command goes on where it stopped.
     """
     from surgbench.cli.training import load_training, train
     from surgbench.silhouette.torch_evaluator import check_device

@@ -12,8 +12,10 @@ from pydantic import Field
 
 from surgbench.cli.progress import Bar, progress
 from surgbench.config import Section, locate, parse_model, read_yaml
+from surgbench.errors import SurgbenchError
 from surgbench.files import sha256_file, write_atomic
-from surgbench.generators.tip_masks import HELD_OUT, TipMasks, TipMaskSettings
+from surgbench.generators.tip_masks import TipMasks, TipMaskSettings, in_published_space
+from surgbench.instrument import load_instrument
 from surgbench.keypoint_accuracy import accuracy, outcome
 from surgbench.trackers.keypoints.heatmaps.curve import draw_curve
 from surgbench.trackers.keypoints.heatmaps.detector import TipDetector
@@ -46,7 +48,8 @@ class KeypointTraining(Section):
 
     def part(self, name: str) -> TipMasks:
         """The masks of a part: training or validation, as ``data`` says, or test. No mask or instrument is in two."""
-        return TipMasks(HELD_OUT if name == "test" else self.data, getattr(self.masks, name), self.seed, name)
+        data = in_published_space(self.data) if name == "test" else self.data
+        return TipMasks(data, getattr(self.masks, name), self.seed, name)
 
 
 def load_training(reference: str, seed: int | None, masks: int | None, epochs: int | None) -> KeypointTraining:
@@ -78,15 +81,20 @@ def train(
         What is written to ``accuracy.json``.
 
     Raises:
-        SurgbenchError: The folder holds another training, or ``start`` is no model of this size.
+        SurgbenchError: The folder holds another training or model, ``start`` is no model of this size, there is no such
+            instrument, or the training diverges.
     """
+    load_instrument(settings.data.instrument)
     size = settings.network.input_px
     identity = {"data": settings.data.model_dump(mode="json"), "masks": settings.masks.model_dump()}
     training = Training(out, settings.network, settings.training, settings.seed, device, identity, start)
     if training.epoch:
         say(f"{out}: goes on after {training.epoch} epochs")
     written = settings.model_dump(mode="json") | ({} if start is None else {"start_sha256": sha256_file(start)})
-    write_atomic(out / CONFIG, (json.dumps(written, indent=1) + "\n").encode())
+    config = (json.dumps(written, indent=1) + "\n").encode()
+    if (out / WEIGHTS).exists() and not ((out / CONFIG).exists() and (out / CONFIG).read_bytes() == config):
+        raise SurgbenchError(f"{out}: holds a model of other settings; give another folder, or remove it")
+    write_atomic(out / CONFIG, config)
     if not training.done:
         parts = [settings.part(name) for name in ("training", "validation")]
         with progress("masks", sum(map(len, parts))) as bar:

@@ -1,4 +1,4 @@
-"""A loss in which thin parts of the mask weigh as much as thick ones.
+"""A loss in which thin parts of the mask weigh more than thick ones.
 
 A jaw seen end-on is a few hundred pixels beside a shaft of ten thousands, so that plain pixel counts rank a
 pose with one jaw missing among the best. Here a pixel weighs more the thinner the part that it is in: with the square

@@ -36,15 +36,15 @@ class ResNet18Keypoints(Plugin):
         )
         model_sha256: Annotated[str, Field(description="start of the file's hash; found unless told, and checked")] = ""
         least_heat: Annotated[float, Field(gt=0, lt=1, description="what a peak must reach to stand out")] = 0.36
-        apart_px: Annotated[int, Field(ge=1, description="peaks nearer than this in the network's picture are one")] = 2
+        apart_px: Annotated[int, Field(ge=1, le=64, description="nearer peaks in the network's picture are one")] = 2
 
         @model_validator(mode="after")
         def _find_model(self) -> ResNet18Keypoints.Config:
             # The hash is an option, so that a record says which weights it was made with.
-            found = sha256_file(self.path)[:HASH_DIGITS]
-            if self.model_sha256 not in ("", found):
-                raise ValueError(f"{self.path} has changed: its hash begins with {found}, not {self.model_sha256}")
-            self.__dict__["model_sha256"] = found
+            found = sha256_file(self.path)
+            if not found.startswith(self.model_sha256):
+                raise ValueError(f"{self.path} has changed: its hash is {found}, not {self.model_sha256}…")
+            self.__dict__["model_sha256"] = found[:HASH_DIGITS]
             return self
 
         @property

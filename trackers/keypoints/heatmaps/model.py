@@ -60,7 +60,7 @@ def load_network(path: Path) -> tuple[HeatmapNetwork, NetworkSettings]:
         raise SurgbenchError(f"{path}: not a model of tip heatmaps (its header has no '{FORMAT}')")
     try:
         settings = parse_model(NetworkSettings, json.loads(header[FORMAT]), "header")
-    except (ConfigError, json.JSONDecodeError) as error:
+    except (ConfigError, json.JSONDecodeError, RecursionError) as error:
         raise SurgbenchError(f"{path}: {error}") from None
     network = HeatmapNetwork(settings)
     problem = _mismatch(network, tensors)
@@ -82,6 +82,8 @@ def _mismatch(network: nn.Module, tensors: dict[str, torch.Tensor]) -> str | Non
             return f"'{name}' is missing"
         if tuple(tensors[name].shape) != shape:
             return f"'{name}' is {tuple(tensors[name].shape)}, not {shape}"
+        if not tensors[name].is_floating_point():
+            return f"'{name}' is of {tensors[name].dtype}"
         if not torch.isfinite(tensors[name].float()).all():
             return f"'{name}' is not finite"
     unknown = sorted(set(tensors) - set(needed))

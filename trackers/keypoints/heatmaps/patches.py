@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import partial
@@ -12,7 +12,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from surgbench.errors import SurgbenchError
 from surgbench.geometry import FloatArray
+from surgbench.interruption import without_ctrl_c
 from surgbench.keypoint_accuracy import REFERENCE_WIDTH, is_asked
 from surgbench.labelled import LabelledMasks
 from surgbench.trackers.keypoints.heatmaps.square import OUTSIDE, find_square
@@ -105,21 +107,43 @@ def cut_patches(masks: LabelledMasks, size: int, jobs: int, progress: Callable[[
         size: Side of the network's picture.
         jobs: Worker processes. The patches do not depend on it.
         progress: Told how many masks more are done.
+
+    Raises:
+        SurgbenchError: No mask shows an instrument.
     """
     chunks = [range(first, min(first + CHUNK, len(masks))) for first in range(0, len(masks), CHUNK)]
-    found: list[_Cuts] = []
-    work = partial(_cut, masks, size)
+    patch = _patch_px(size)
+    # The pictures go where they will stay: they are most of the memory.
+    pictures = np.empty((len(masks), patch, patch), np.uint8)
+    count, labels = 0, []
+    for chunk, (cut, *others) in zip(chunks, _in_order(partial(_cut, masks, size), chunks, jobs), strict=True):
+        pictures[count : count + len(cut)] = cut
+        count += len(cut)
+        labels.append(others)
+        progress(len(chunk))
+    tips, asked, unit_px = (np.concatenate(parts) for parts in zip(*labels, strict=True))
+    if not count:
+        raise SurgbenchError(f"no instrument is seen in any of {len(masks)} masks; see data in the training file")
+    return Patches(pictures[:count], tips, asked, unit_px, size)
+
+
+def _in_order(work: Callable[[range], _Cuts], chunks: list[range], jobs: int) -> Iterator[_Cuts]:
     if jobs == 1:
-        for chunk in chunks:
-            found.append(work(chunk))
-            progress(len(chunk))
-    else:
-        with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-            for chunk, part in zip(chunks, pool.map(work, chunks), strict=True):
-                found.append(part)
-                progress(len(chunk))
-    pictures, tips, asked, unit_px = (np.concatenate(parts) for parts in zip(*found, strict=True))
-    return Patches(pictures, tips, asked, unit_px, size)
+        yield from map(work, chunks)
+        return
+    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+        try:
+            # Workers start in here, and keep the block.
+            with without_ctrl_c():
+                results = pool.map(work, chunks)
+            yield from results
+        except BaseException:
+            pool.shutdown(wait=True, cancel_futures=True)
+            raise
+
+
+def _patch_px(size: int) -> int:
+    return round(size * GROWTH * DETAIL)
 
 
 _Cuts = tuple[NDArray[np.uint8], FloatArray, NDArray[np.bool_], FloatArray]
@@ -127,7 +151,7 @@ _Cuts = tuple[NDArray[np.uint8], FloatArray, NDArray[np.bool_], FloatArray]
 
 def _cut(masks: LabelledMasks, size: int, indices: range) -> _Cuts:
     cv2.setNumThreads(1)
-    patch = round(size * GROWTH * DETAIL)
+    patch = _patch_px(size)
     pictures, tips, asked, units = [], [], [], []
     for index in indices:
         example = masks[index]

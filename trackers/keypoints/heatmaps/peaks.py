@@ -15,8 +15,8 @@ def find_peaks(logits: NDArray[np.float32], least_heat: float, apart_px: int) ->
     """All peaks, the hottest first.
 
     A peak is the hottest pixel within ``apart_px`` in rows and columns. Its place is the top of a parabola through the
-    logits of it and its neighbours, in rows and in columns: about a tip the heat is near a Gaussian, and its logarithm
-    near a parabola.
+    logarithm of the heat of it and its neighbours, in rows and in columns: about a tip the heat is near a Gaussian, and
+    its logarithm near a parabola.
 
     Args:
         logits: ``(s, s)`` float32.

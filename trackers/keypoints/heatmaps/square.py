@@ -82,10 +82,13 @@ def find_square(mask: Mask) -> Square | None:
         mask: ``(H, W)`` bool.
 
     Returns:
-        ``None`` where there is no instrument: the mask is empty, full, or has nothing but specks.
+        ``None`` where there is no instrument: the mask is empty, full, a mere strip, or has nothing but
+        specks.
     """
     height, width = mask.shape
     step = max(1, round(max(height, width) / COARSE_PX))
+    if min(height, width) < step:
+        return None
     coarse = _reduce(mask, step)
     count, labels, stats, _ = cv2.connectedComponentsWithStats(coarse)
     if count < 2:

@@ -51,7 +51,7 @@ class TrainingSettings(Section):
         epochs: At most so many passes over the masks.
         patience: It stops after so many epochs in which the validation loss did not fall.
         batch: Masks a step.
-        learning_rate: Its peak; it rises over the first epochs and falls along a cosine (Loshchilov and Hutter, ICLR
+        learning_rate: Its peak; it rises at first and falls along a cosine (Loshchilov and Hutter, ICLR
             2017).
         warm_up: Share of the steps in which it rises.
         weight_decay: Of AdamW (Loshchilov and Hutter, ICLR 2019).
@@ -69,7 +69,7 @@ class TrainingSettings(Section):
     weight_decay: Annotated[float, Field(ge=0)] = 0.02
     sigma_px: Positive = 1.25
     least_heat: Annotated[float, Field(gt=0, lt=1)] = 0.36
-    apart_px: Count = 2
+    apart_px: Annotated[int, Field(ge=1, le=64)] = 2
     bfloat16: bool = True
 
 
@@ -142,11 +142,18 @@ class Training:
             validation: What says when to stop, and which epoch's weights are kept.
             progress: Told the share of an epoch that was done, so that all add up to the number of epochs.
             say: Told a line after every epoch.
+
+        Raises:
+            SurgbenchError: The loss is no longer finite.
         """
         while not self.done:
             begin = time.monotonic()
             rate, loss = self._learn(training, progress)
             validation_loss, found = self._validate(validation)
+            if not np.isfinite(loss + validation_loss):
+                raise SurgbenchError(
+                    f"training diverged in epoch {self._state.epoch + 1}: the loss is not finite; lower learning_rate"
+                )
             row = {
                 "epoch": self._state.epoch,
                 "learning_rate": f"{rate:.3g}",
