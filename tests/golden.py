@@ -1,0 +1,120 @@
+"""What must not change when code is moved: settings of all tables' rows, bytes of datasets, estimates of all trackers.
+
+    python tests/golden.py FILE.json
+
+writes it down; run before and after a change on one machine, the two files are the same. ``tests/golden.json`` is the
+committed one; the test compares settings and datasets exactly, estimates within a tolerance.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from commandline import records, surgbench
+
+from surgbench.config import packaged_names
+from surgbench.dataset.open import open_dataset
+from surgbench.errors import ConfigError
+from surgbench.files import canonical_json, sha256_file, sha256_text
+from surgbench.registry import discover
+from surgbench.reproduce.table import Block, load_table
+from surgbench.suite.plan import complete
+
+FRAMES, SAMPLES = 3, 100
+# A hash is of a plug-in's text, which may change: its name and options may not.
+SOURCE_HASH = "@"
+
+
+def settings_hashes(data: Path) -> dict[str, str]:
+    """Table and row to a hash of the row's settings, without those of plug-ins' texts."""
+    found = {}
+    for name in packaged_names("tables"):
+        for block in load_table(name).table.blocks:
+            dataset = open_dataset(_small(block, data))
+            for row in block.rows:
+                spec = complete(row.asked(quick=False), block.protocol, dataset).spec()
+                found[f"{name}/{block.name}/{row.id}"] = sha256_text(canonical_json(_without_sources(spec)))[:16]
+    return found
+
+
+def _small(block: Block, data: Path) -> Path:
+    """A few frames of the block's dataset: enough to complete its rows."""
+    asked = block.dataset
+    folder = data / asked.folder
+    options = ["--sequences", 1, "--frames", SAMPLES if asked.preset.startswith("wire") else FRAMES]
+    for option, value in (("--seed", asked.seed), ("--corruption", asked.corruption)):
+        options += [] if value is None else [option, value]
+    surgbench("generate", asked.preset, *options, "--out", folder)
+    return folder
+
+
+def _without_sources(spec: Any) -> Any:
+    if not isinstance(spec, dict):
+        return spec
+    return {
+        key: value.partition(SOURCE_HASH)[0] if key == "source" else _without_sources(value)
+        for key, value in spec.items()
+    }
+
+
+def estimates(data: Path, dataset: Path, chaser: Path) -> dict[str, Any]:
+    """Row to its estimates, frame by frame: every tracker, and every other plug-in with a tracker of few samples."""
+    out = data / "runs"
+    common = ("--sequences", 1, "--out", out, "--jobs", 2)
+    trackers = {name: found for name, found in discover("tracker").items() if found.unavailable is None}
+    names = {task: [name for name, found in trackers.items() if found.task == task] for task in _TASKS}
+    asked = [word for name in names["instrument"] for word in ("--tracker", name)]
+    surgbench("run", "--dataset", dataset, "--keypoints", "observed", "--frames", FRAMES, *common, *asked)
+    asked = [word for name in names["viewpoint"] for word in ("--tracker", name)]
+    surgbench("run", "--dataset", chaser, "--frames", SAMPLES, *common, *asked)
+    for kind in ("initialiser", "filter", "keypoints"):
+        for name, found in discover(kind).items():
+            if found.unavailable is None and name not in _SLOW:
+                row = data / f"{kind}-{name}.yaml"
+                keypoints = {} if kind == "keypoints" else {"keypoints": "observed"}
+                content = {"tracker": "xnes", "row_id": f"{kind}-{name}", kind: name, **keypoints}
+                row.write_text(json.dumps({"rows": [content]}))
+                surgbench("run", "--dataset", dataset, "--suite", row, "--frames", FRAMES, *common)
+    surgbench("run", "--dataset", dataset, "--tracker", "hybrid", "--joints", "--frames", FRAMES, *common)
+    surgbench("run", "--dataset", dataset, "--tracker", "xnes", "--arms", "dual", "--frames", FRAMES, *common)
+    surgbench("generate", "paper-rcm", "--sequences", 1, "--frames", FRAMES, "--out", data / "rcm")
+    surgbench("run", "--dataset", data / "rcm", "--tracker", "particle-filter", "--joints", *common)
+    found_estimates = {}
+    for record in records(out):
+        spec, frames = record["spec"], record["frames"]
+        key = f"{spec['dataset']['name']}/{spec['row_id']}/{spec['unit']}"
+        estimated = frames.get("state", frames.get("setpoint", []))
+        found_estimates[key] = estimated if record["status"] == "ok" else record["error"]
+    return found_estimates
+
+
+_TASKS = ("instrument", "viewpoint")
+_SLOW = ("turbo", "random")  # each takes seconds, and has tests of its own
+
+
+def take(data: Path) -> dict[str, Any]:
+    """Everything, made in a folder."""
+    surgbench("generate", "mini", "--out", data / "mini")
+    surgbench("generate", "wire-chaser-mini", "--out", data / "chaser")
+    return {
+        "settings": settings_hashes(data / "tables"),
+        "datasets": {name: sha256_file(data / name / "dataset.json") for name in ("mini", "chaser")},
+        "estimates": estimates(data, data / "mini", data / "chaser"),
+    }
+
+
+def main() -> None:
+    """Write everything down."""
+    if len(sys.argv) != 2:
+        raise ConfigError("python tests/golden.py FILE.json")
+    with tempfile.TemporaryDirectory() as folder:
+        content = take(Path(folder))
+    Path(sys.argv[1]).write_text(json.dumps(content, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()
