@@ -22,12 +22,13 @@ import numpy as np
 import yaml
 
 from surgbench.contract import Observation
-from surgbench.dataset.reader import Dataset
+from surgbench.dataset.open import open_as
 from surgbench.errors import SurgbenchError
 from surgbench.metrics import pose_errors
 from surgbench.randomness import generator
 from surgbench.registry import create, find
-from surgbench.suite.execute import UnitData
+from surgbench.tasks.instrument.dataset import InstrumentDataset
+from surgbench.tasks.instrument.units import UnitData
 
 TIP_M = 5e-3
 ROTATION_RAD = 0.2
@@ -60,7 +61,7 @@ def main() -> int:
             readings, hide = HINTS[hint]
             results = []
             for path in options.dataset:
-                dataset = Dataset.open(path)
+                dataset = open_as(InstrumentDataset, path)
                 for unit in dataset.units("single"):
                     data = UnitData(dataset, unit, readings)
                     frame = hide(data.observation(0, data.sequence.mask(unit.kind, 0)))

@@ -19,13 +19,15 @@ from pathlib import Path
 
 import numpy as np
 
-from surgbench.dataset.reader import Dataset
+from surgbench.dataset.open import open_as
 from surgbench.geometry import FloatArray
-from surgbench.keypoint_accuracy import pair_errors
+from surgbench.keypoints.accuracy import pair_errors
+from surgbench.records.reader import read_records
 from surgbench.registry import create, find
-from surgbench.report.records import Record, read_all_records
 from surgbench.state import JOINTS, twin
-from surgbench.suite.execute import UnitData
+from surgbench.tasks.instrument.dataset import InstrumentDataset
+from surgbench.tasks.instrument.records import InstrumentRecord
+from surgbench.tasks.instrument.units import UnitData
 
 NEAR_PX = 6.0
 NEAR_RAD = 0.2
@@ -37,14 +39,14 @@ def main() -> int:
     parser.add_argument("runs", nargs="*", type=Path)
     parser.add_argument("--keypoints", action="append", metavar="NAME", help="default: resnet18 and corners")
     options = parser.parse_args()
-    dataset = Dataset.open(options.dataset)
+    dataset = open_as(InstrumentDataset, options.dataset)
     for name in options.keypoints or ["resnet18", "corners"]:
         keypoints(dataset, name)
     tracks(dataset, options.runs)
     return 0
 
 
-def keypoints(dataset: Dataset, name: str) -> None:
+def keypoints(dataset: InstrumentDataset, name: str) -> None:
     source = create(find("keypoints", name), {})
     pairs, frames, marked, errors = 0, 0, 0, []
     for unit in dataset.units():
@@ -69,12 +71,12 @@ def keypoints(dataset: Dataset, name: str) -> None:
         print(f"{name}: both tips within {NEAR_PX:g} px of the marks in {near} of {marked} frames")
 
 
-def tracks(dataset: Dataset, runs: list[Path]) -> None:
+def tracks(dataset: InstrumentDataset, runs: list[Path]) -> None:
     units = {unit.id: unit for unit in dataset.units()}
     changes: dict[str, list[FloatArray]] = defaultdict(list)
     off: dict[str, list[FloatArray]] = defaultdict(list)
-    for record in read_all_records(runs) if runs else []:
-        if not isinstance(record, Record) or record.spec.dataset.sha256 != dataset.hash:
+    for record in read_records(runs) if runs else []:
+        if not isinstance(record, InstrumentRecord) or record.spec.dataset.sha256 != dataset.hash:
             continue
         row, unit = record.spec.row_id, units[record.spec.unit]
         states = record.frames.states

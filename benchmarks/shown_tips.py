@@ -15,13 +15,15 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, ClassVar
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
+from surgbench.config import Section
 from surgbench.contract import Observation, Plugin, Scene, View
-from surgbench.dataset.reader import Dataset
+from surgbench.dataset.open import open_as
 from surgbench.errors import SurgbenchError
 from surgbench.generators.tip_masks import Painter
 from surgbench.geometry import FloatArray
+from surgbench.tasks.instrument.dataset import InstrumentDataset
 
 
 class ShownTips(Plugin):
@@ -30,17 +32,15 @@ class ShownTips(Plugin):
     name: ClassVar[str] = "shown-tips"
     summary: ClassVar[str] = "the true tips with noise, only where the mask shows both (knows the truth)"
 
-    class Config(BaseModel):
+    class Config(Section):
         """Options."""
-
-        model_config = ConfigDict(frozen=True, extra="forbid")
 
         dataset: Annotated[Path, Field(description="the dataset that is run on")]
 
     def __init__(self, config: Config) -> None:
         # A source is not told the sequence: the noise of the tips, which no two frames have in common, tells the frame.
         self._states: dict[bytes, FloatArray] = {}
-        dataset = Dataset.open(config.dataset)
+        dataset = open_as(InstrumentDataset, config.dataset)
         for unit in dataset.units():
             for arm in unit.arms:
                 sequence = dataset.sequence(unit.sequence)

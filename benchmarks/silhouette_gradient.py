@@ -34,10 +34,9 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from surgbench.bench.workload import silhouette_workload
 from surgbench.camera import Camera
+from surgbench.comparison.workload import silhouette_workload
 from surgbench.contract import Mask
-from surgbench.dataset.format import Arm
 from surgbench.generators.place import Place, clearance_m
 from surgbench.generators.presets import load_preset
 from surgbench.geometry import FloatArray, look_at_rotation
@@ -46,6 +45,7 @@ from surgbench.randomness import generator
 from surgbench.silhouette import Reference, RowSums, SilhouetteEvaluator
 from surgbench.state import ALPHA, ANGLES, GAMMA, POSITION, StateSpace
 from surgbench.suite.environment import environment
+from surgbench.tasks.instrument.format import Arm
 
 PRESET = load_preset("paper")
 CAMERA = PRESET.camera

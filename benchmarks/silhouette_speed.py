@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from surgbench.bench.workload import silhouette_workload
 from surgbench.camera import Camera
+from surgbench.comparison.workload import silhouette_workload
 from surgbench.compiled import compiled
 from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument

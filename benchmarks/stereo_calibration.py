@@ -13,9 +13,9 @@ import argparse
 import numpy as np
 
 from surgbench.geometry import rotation_angle
-from surgbench.viewpoint.calibration import board_poses, calibrate, displacement_px, photograph_board
-from surgbench.viewpoint.grasp_object import Checkerboard
-from surgbench.viewpoint.stereo import AUTOCAM_STEREO
+from surgbench.viewpoint.optics.calibration import board_poses, calibrate, displacement_px, photograph_board
+from surgbench.viewpoint.optics.grasp_object import Checkerboard
+from surgbench.viewpoint.optics.stereo import AUTOCAM_STEREO
 
 BOARD = Checkerboard()
 

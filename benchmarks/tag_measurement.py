@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 
 from surgbench.files import write_atomic
 from surgbench.geometry import FloatArray, inverse_transform, rigid_transform, rotation_from_vector
-from surgbench.viewpoint.grasp_object import grasp_object
-from surgbench.viewpoint.markers import WINDOW_CELLS, CentroidMeasurement, TagFinder
-from surgbench.viewpoint.photograph import Photographer
+from surgbench.viewpoint.optics.grasp_object import grasp_object
+from surgbench.viewpoint.optics.markers import WINDOW_CELLS, CentroidMeasurement, TagFinder
+from surgbench.viewpoint.optics.photograph import Photographer
+from surgbench.viewpoint.optics.stereo import AUTOCAM_STEREO
 from surgbench.viewpoint.placement import look_at, naive_pose
-from surgbench.viewpoint.stereo import AUTOCAM_STEREO
 
 CAMERAS = (AUTOCAM_STEREO.left, AUTOCAM_STEREO.right)
 EYES = (AUTOCAM_STEREO.T_camera_left, AUTOCAM_STEREO.T_camera_right)

@@ -18,8 +18,8 @@ import numpy as np
 from surgbench.camera import Camera
 from surgbench.geometry import FloatArray, inverse_transform, rigid_transform
 from surgbench.report.drawing import Picture, below, beside, heading, save_png, scaled
-from surgbench.viewpoint.stereo import AUTOCAM_STEREO
-from surgbench.viewpoint.video import ConsoleSettings, ConsoleView, StereoPicture, fusing_separation_px, join
+from surgbench.viewpoint.optics.console import ConsoleSettings, ConsoleView, StereoPicture, fusing_separation_px, join
+from surgbench.viewpoint.optics.stereo import AUTOCAM_STEREO
 
 LEFT, RIGHT, BASELINE_M = AUTOCAM_STEREO.left, AUTOCAM_STEREO.right, AUTOCAM_STEREO.baseline_m
 # A da Vinci endoscope at the size of the article's capture; its focal length and baseline are assumed.

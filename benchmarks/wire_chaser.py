@@ -14,8 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
-from surgbench.viewpoint.dataset import ViewpointDataset
-from surgbench.viewpoint.draw import draw_trial
+from surgbench.dataset.open import open_as
+from surgbench.tasks.viewpoint.dataset import ViewpointDataset
+from surgbench.tasks.viewpoint.draw import draw_trial
 from surgbench.viewpoint.motion import describe_motion
 from surgbench.viewpoint.registration import register, residual_m
 from surgbench.viewpoint.scores import naive_violations
@@ -50,7 +51,7 @@ def main() -> None:
     parser.add_argument("dataset", type=Path)
     parser.add_argument("--picture", type=Path, help="PNG to write")
     arguments = parser.parse_args()
-    dataset = ViewpointDataset.open(arguments.dataset)
+    dataset = open_as(ViewpointDataset, arguments.dataset)
     trials = [dataset.trial(trial.id) for trial in dataset.trials]
     figures = describe_motion(trials)
     print(f"| | {dataset.name} | AutoCam |\n|---|---|---|")

@@ -10,10 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from surgbench.camera import Camera
-from surgbench.change_of_view import ChangeOfView
-from surgbench.dataset import tables
-from surgbench.dataset.auxiliary import keypoint_columns
-from surgbench.dataset.format import ARMS, Arm
+from surgbench.camera.change_of_view import ChangeOfView
 from surgbench.generators.held_cameras import REMOTE_CENTRE_M, held_camera_path
 from surgbench.generators.observations import observe_keypoints
 from surgbench.generators.presets import Preset
@@ -27,6 +24,9 @@ from surgbench.geometry import (
 )
 from surgbench.instrument import Instrument
 from surgbench.randomness import generator
+from surgbench.tasks.instrument.auxiliary import keypoint_columns
+from surgbench.tasks.instrument.format import ARMS, Arm
+from surgbench.tasks.instrument.tables import VIEW_COLUMNS, arm_columns
 
 AUXILIARY_CAMERA = "auxiliary"
 
@@ -162,4 +162,4 @@ def camera_of(preset: Preset) -> dict[str, Camera]:
 
 def _pose_columns(arm: Arm, poses: FloatArray) -> dict[str, FloatArray]:
     numbers = np.hstack([rotation_vector(poses[:, :3, :3]), poses[:, :3, 3]])
-    return dict(zip(tables.arm_columns(arm, tables.VIEW_COLUMNS), numbers.T, strict=True))
+    return dict(zip(arm_columns(arm, VIEW_COLUMNS), numbers.T, strict=True))

@@ -6,7 +6,6 @@ from typing import Protocol
 
 import numpy as np
 
-from surgbench.arm import ARM_JOINTS, CLASSIC_400006, INSERTION, PITCH, ROLL, YAW
 from surgbench.generators.place import BoolArray, Place
 from surgbench.generators.presets import Motion
 from surgbench.geometry import (
@@ -17,6 +16,7 @@ from surgbench.geometry import (
     rigid_transform,
     wrap_angle,
 )
+from surgbench.instrument.arm import ARM_JOINTS, CLASSIC_400006, INSERTION, PITCH, ROLL, YAW
 from surgbench.state import ANGLES, BETA, JOINTS, POSITION
 
 # The arm that both instruments are mounted on.

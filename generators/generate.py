@@ -15,27 +15,9 @@ import yaml
 
 from surgbench import __version__
 from surgbench.camera import Camera
-from surgbench.change_of_view import ChangeOfView
+from surgbench.camera.change_of_view import ChangeOfView
 from surgbench.dataset import tables
-from surgbench.dataset.format import (
-    ARMS,
-    AUXILIARY_CONVENTION,
-    CONVENTIONS,
-    FORMAT,
-    Arm,
-    AuxiliaryEntry,
-    Manifest,
-    MaskKind,
-    SequenceEntry,
-    clean_mask_path,
-    instrument_folder,
-    observations_path,
-    observed_path,
-    poses_path,
-    sequence_files,
-    states_path,
-    view_folder,
-)
+from surgbench.dataset.manifest import FORMAT, observations_path
 from surgbench.dataset.masks import PNG_END, Mask, encode_mask
 from surgbench.dataset.storage import describe_files
 from surgbench.errors import ConfigError, unknown_name
@@ -60,6 +42,23 @@ from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument, load_instrument, save_instrument
 from surgbench.instrument.files import INSTRUMENT_FILE
 from surgbench.randomness import generator
+from surgbench.tasks.instrument.format import (
+    ARMS,
+    AUXILIARY_CONVENTION,
+    CONVENTIONS,
+    Arm,
+    AuxiliaryEntry,
+    InstrumentManifest,
+    MaskKind,
+    SequenceEntry,
+    clean_mask_path,
+    instrument_folder,
+    observed_path,
+    poses_path,
+    sequence_files,
+    states_path,
+    view_folder,
+)
 
 __all__ = ["Part", "Plan", "generate", "plan_dataset"]
 
@@ -141,7 +140,7 @@ class Plan:
         files = len(self.paths)
         return int(self.frames * (mask + numbers) + blocks(files * MANIFEST_BYTES_PER_FILE))
 
-    def write(self, out: Path, jobs: int, progress: Callable[[float], None]) -> Manifest:
+    def write(self, out: Path, jobs: int, progress: Callable[[float], None]) -> InstrumentManifest:
         """Write everything but the manifest; see :class:`surgbench.generators.resumable.Job`."""
         for path, data in self.instrument_files.items():
             write_atomic(out / path, data)
@@ -382,9 +381,9 @@ def _render_chunk(chunk: Chunk) -> int:
     return _worker.render(chunk)
 
 
-def _manifest(plan: Plan, out: Path, sequences: list[SequenceEntry]) -> Manifest:
+def _manifest(plan: Plan, out: Path, sequences: list[SequenceEntry]) -> InstrumentManifest:
     name = plan.instrument.name
-    return Manifest(
+    return InstrumentManifest(
         name=plan.preset.name,
         created_by=f"surgbench {__version__}",
         origin="generated",

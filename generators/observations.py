@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from surgbench.arm import Manipulator
 from surgbench.camera import Camera
 from surgbench.generators.presets import Keypoints, Readings
 from surgbench.generators.sections import Kinematics
@@ -19,6 +18,7 @@ from surgbench.geometry import (
     rotation_from_vector,
 )
 from surgbench.instrument import Instrument
+from surgbench.instrument.arm import Manipulator
 from surgbench.state import ANGLES, JOINTS, POSITION
 
 # A joint faster than this has its cables nearly fully stretched.

@@ -6,11 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surgbench.camera import Camera
-from surgbench.dataset.format import Arm
 from surgbench.generators.presets import Workspace
 from surgbench.geometry import FloatArray, look_at_rotation
 from surgbench.instrument import Instrument
 from surgbench.state import ALPHA, ANGLES, BETA, GAMMA, JOINTS, POSITION, STATE_SIZE
+from surgbench.tasks.instrument.format import Arm
 
 BoolArray = NDArray[np.bool_]
 

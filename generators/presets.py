@@ -8,18 +8,9 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, SerializerFunctionWrapHandler, field_validator, model_serializer, model_validator
 
 from surgbench.camera import Camera
-from surgbench.config import SUFFIXES, Section, locate, parse_model, read_yaml
+from surgbench.config import SUFFIXES, Finite, NotNegative, Positive, Section, locate, parse_model, read_yaml
 from surgbench.errors import ConfigError, unknown_name
-from surgbench.generators.sections import (
-    Auxiliary,
-    Correlation,
-    Finite,
-    Fraction,
-    Kinematics,
-    Mismatch,
-    NotNegative,
-    Positive,
-)
+from surgbench.generators.sections import Auxiliary, Correlation, Fraction, Kinematics, Mismatch
 
 Range = tuple[Finite, Finite]
 
@@ -313,7 +304,7 @@ def load_preset(
     content = read_yaml(path, "preset")
     if content.get("task", "instrument") != "instrument":
         raise ConfigError(f"{path}: a preset of the {content['task']} task; expected one of the instrument task")
-    preset = _parse({key: value for key, value in content.items() if key != "task"}, str(path))
+    preset = _parse({key: value for key, value in content.items() if key not in ("task", "generator")}, str(path))
     if "/" in preset.instrument or preset.instrument.lower().endswith(SUFFIXES):
         preset = preset.model_copy(update={"instrument": str(path.parent.absolute() / preset.instrument)})
     if not given:

@@ -15,13 +15,15 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from multiprocessing import connection, get_context, parent_process
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
-from surgbench.dataset.format import MANIFEST_NAME, MARKER_NAME, CommonManifest, read_manifest
+from surgbench.dataset.manifest import MANIFEST_NAME, MARKER_NAME
+from surgbench.dataset.open import read_manifest
 from surgbench.dataset.storage import storage_error
 from surgbench.errors import ConfigError, DatasetError, SurgbenchError
 from surgbench.files import PARTIAL_SUFFIX, write_atomic
-from surgbench.interruption import without_ctrl_c
+from surgbench.generation import GenerationPlan
+from surgbench.processes.interruption import without_ctrl_c
 
 # A file takes at least a block of the disk.
 BLOCK_BYTES = 4096
@@ -30,52 +32,8 @@ MANIFEST_BYTES_PER_FILE = 160
 SCRATCH_NAME = "generating"
 
 
-class Job(Protocol):
-    """What a generation will make."""
-
-    @property
-    def name(self) -> str:
-        """The dataset's."""
-        ...
-
-    @property
-    def counts(self) -> str:
-        """How much there will be, a few words."""
-        ...
-
-    @property
-    def frames(self) -> int:
-        """Frames over all sequences, or samples over all trials."""
-        ...
-
-    @property
-    def marker(self) -> dict[str, Any]:
-        """Effective configuration as it is kept in the folder until the dataset is complete."""
-        ...
-
-    @property
-    def paths(self) -> list[str]:
-        """Every file but the manifest."""
-        ...
-
-    @property
-    def disk_bytes(self) -> int:
-        """Disk that the whole dataset takes, an upper estimate."""
-        ...
-
-    def write(self, out: Path, jobs: int, progress: Callable[[float], None]) -> CommonManifest:
-        """Write everything but the manifest into the folder; what is there whole stays.
-
-        Args:
-            out: The folder.
-            jobs: Worker processes.
-            progress: Takes the number of frames or samples just done.
-        """
-        ...
-
-
 def generate(
-    plan: Job,
+    plan: GenerationPlan,
     out: Path,
     *,
     jobs: int = 1,
@@ -130,7 +88,7 @@ def generate(
     return True
 
 
-def configuration(plan: Job) -> dict[str, Any]:
+def configuration(plan: GenerationPlan) -> dict[str, Any]:
     """What the manifest says of how the dataset was made."""
     return {key: value for key, value in plan.marker.items() if key != "format"}
 
@@ -140,7 +98,7 @@ def blocks(size: float) -> int:
     return -(-int(size) // BLOCK_BYTES) * BLOCK_BYTES
 
 
-def _refuse_other_content(plan: Job, out: Path) -> None:
+def _refuse_other_content(plan: GenerationPlan, out: Path) -> None:
     """Raise unless the folder is missing, empty, or holds this very dataset, whole or in part."""
     if not out.exists():
         return
@@ -193,7 +151,7 @@ def _is_complete(out: Path) -> bool:
     return True
 
 
-def _check_disk(plan: Job, out: Path, share_done: float, say: Callable[[str], None]) -> None:
+def _check_disk(plan: GenerationPlan, out: Path, share_done: float, say: Callable[[str], None]) -> None:
     parent = next(folder for folder in (out.absolute(), *out.absolute().parents) if folder.is_dir())
     free = shutil.disk_usage(parent).free
     need = int(plan.disk_bytes * (1.0 - share_done))

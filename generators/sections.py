@@ -7,14 +7,11 @@ from typing import Annotated, Literal
 from pydantic import Field, field_validator
 
 from surgbench.camera import Camera
-from surgbench.config import Section
+from surgbench.config import Finite, NotNegative, Positive, Section
 from surgbench.errors import SurgbenchError
 from surgbench.registry import find
-from surgbench.viewpoint.stereo import AUTOCAM_STEREO
+from surgbench.viewpoint.optics.stereo import AUTOCAM_STEREO
 
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
 Correlation = Annotated[float, Field(ge=0, lt=1)]
 

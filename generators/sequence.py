@@ -8,7 +8,6 @@ import numpy as np
 
 from surgbench.camera import Camera
 from surgbench.dataset import tables
-from surgbench.dataset.format import Arm, SequenceEntry
 from surgbench.generators.auxiliary import ViewTables, make_views
 from surgbench.generators.observations import observe_arm, observe_free_tool, observe_joints, observe_keypoints
 from surgbench.generators.presets import Preset
@@ -16,6 +15,14 @@ from surgbench.generators.trajectories import make_motion
 from surgbench.geometry import FloatArray, rotation_vector
 from surgbench.instrument import Instrument
 from surgbench.randomness import generator
+from surgbench.tasks.instrument.format import Arm, SequenceEntry
+from surgbench.tasks.instrument.tables import (
+    KEYPOINT_COLUMNS,
+    KINEMATICS_COLUMNS,
+    READING_COLUMNS,
+    STATE_COLUMNS,
+    arm_columns,
+)
 
 
 @dataclass(frozen=True)
@@ -75,15 +82,15 @@ def make_tables(preset: Preset, entry: SequenceEntry, instrument: Instrument, ca
             tool = observe_free_tool(own, preset.kinematics, rng)
         else:
             tool = observe_arm(robot.arm_joints, robot.arm, robot.T_cam_base, preset.kinematics, entry.dt_s, rng)
-        observed |= _columns(arm, tables.KEYPOINT_COLUMNS, points.reshape(-1, 4))
-        observed |= _columns(arm, tables.READING_COLUMNS, readings + preset.mismatch.joint_offset_rad)
+        observed |= _columns(arm, KEYPOINT_COLUMNS, points.reshape(-1, 4))
+        observed |= _columns(arm, READING_COLUMNS, readings + preset.mismatch.joint_offset_rad)
         poses = [rotation_vector(tool.T_base_tool[:, :3, :3]), tool.T_base_tool[:, :3, 3]]
-        observed |= _columns(arm, tables.KINEMATICS_COLUMNS, np.hstack(poses))
+        observed |= _columns(arm, KINEMATICS_COLUMNS, np.hstack(poses))
         bases[arm] = tuple(tool.T_cam_base.ravel().tolist())
-        truth |= _columns(arm, tables.STATE_COLUMNS, own)
+        truth |= _columns(arm, STATE_COLUMNS, own)
     views = make_views(preset, entry.id, motion.states, instrument)
     return SequenceTables(motion.states, observed, truth, bases, views).first(entry.frames)
 
 
 def _columns(arm: Arm, names: tuple[str, ...], values: FloatArray) -> dict[str, FloatArray]:
-    return dict(zip(tables.arm_columns(arm, names), values.T, strict=True))
+    return dict(zip(arm_columns(arm, names), values.T, strict=True))

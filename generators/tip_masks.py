@@ -17,18 +17,18 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from surgbench.camera import Camera
-from surgbench.config import Section
+from surgbench.config import NotNegative, Positive, Section
 from surgbench.contract import Mask
 from surgbench.errors import ConfigError
 from surgbench.generators.corruption import corrupt
 from surgbench.generators.mismatch import real_instrument
 from surgbench.generators.presets import CORRUPTION_LEVELS, PAPER_CAMERA, Corruption, Morphology
-from surgbench.generators.sections import Fraction, Mismatch, NotNegative, Positive
+from surgbench.generators.sections import Fraction, Mismatch
 from surgbench.geometry import FloatArray
 from surgbench.hypotheses import hypothesis_states
 from surgbench.instrument import Instrument, load_instrument
 from surgbench.instrument.spec import LinkPoint
-from surgbench.labelled import LabelledMask
+from surgbench.keypoints.labelled import LabelledMask
 from surgbench.randomness import generator
 from surgbench.silhouette import Reference, SilhouetteEvaluator
 
@@ -239,7 +239,7 @@ class Painter:
         return self._whole.mask(state)
 
     def shows(self, state: FloatArray, mask: Mask) -> np.ndarray:
-        """Which tips can be seen in a mask, ``(2,)`` bool; see :class:`~surgbench.labelled.LabelledMask`.
+        """Which tips can be seen in a mask, ``(2,)`` bool; see :class:`~surgbench.keypoints.labelled.LabelledMask`.
 
         Args:
             state: ``(9,)`` true state.

@@ -12,15 +12,15 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 from scipy.signal import butter, lfilter, sosfiltfilt
 
-from surgbench.arm import ARM_JOINTS, Manipulator
-from surgbench.dataset.format import ARMS
 from surgbench.errors import ConfigError
 from surgbench.generators.coordinates import TOOL_JOINTS, ArmJoints, Coordinates, FreePose, set_up_arm
 from surgbench.generators.place import Place, clearance_m
 from surgbench.generators.presets import Preset
 from surgbench.geometry import FloatArray, wrap_angle
 from surgbench.instrument import Instrument
+from surgbench.instrument.arm import ARM_JOINTS, Manipulator
 from surgbench.state import BETA, GAMMA
+from surgbench.tasks.instrument.format import ARMS
 
 # Proposals looked at together, and how often each stage is tried before the one before it is done again.
 BATCH = 32

@@ -8,12 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surgbench.camera import Camera
+from surgbench.generation import GenerationPlan, GenerationRequest
 from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument
 from surgbench.state import JointLimits
@@ -185,6 +187,50 @@ class Traceable(Protocol):
     """A tracker that can show its candidates: set ``trace`` to a :class:`Trace` and it fills it."""
 
     trace: Trace | None
+
+
+@runtime_checkable
+class Generator(Protocol):
+    """Makes datasets from presets."""
+
+    name: ClassVar[str]
+    task: ClassVar[str]
+
+    def plan(self, preset: Path, request: GenerationRequest) -> GenerationPlan:
+        """What a preset makes, with what is asked for put over it; nothing is made yet.
+
+        Raises:
+            ConfigError: The file is wrong, or an option has a value that will not do; one line.
+        """
+        ...
+
+
+@runtime_checkable
+class Importer(Protocol):
+    """Turns a recording into a dataset; its ``Config`` becomes options of ``surgbench import NAME``."""
+
+    name: ClassVar[str]
+
+    def frames(self, source: Path) -> int:
+        """How many frames a recording has, or as many as the work is to be counted in.
+
+        Raises:
+            DatasetError: Something in it is missing or wrong; one line.
+        """
+        ...
+
+    def run(self, source: Path, out: Path, progress: Callable[[float], None]) -> None:
+        """Make the dataset.
+
+        Args:
+            source: The recording.
+            out: The dataset's folder: new or empty. It appears when the import is complete.
+            progress: Takes the number of frames just done.
+
+        Raises:
+            SurgbenchError: Something in the source is missing or wrong, ``out`` holds something, or the disk is full.
+        """
+        ...
 
 
 @runtime_checkable

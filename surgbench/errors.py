@@ -37,3 +37,7 @@ def unknown_name(kind: str, name: str, valid: Iterable[str]) -> str:
     close = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
     hint = f"; did you mean '{close[0]}'?" if close else ""
     return f"unknown {kind} '{name}'{hint} (valid: {', '.join(names) or 'none'})"
+
+
+class InvalidAnswerError(Exception):
+    """A plug-in returned something that is no state."""

@@ -5,8 +5,6 @@ Definitions follow Hu et al. 2026, section IV; ``docs/metrics.md`` has every col
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -181,41 +179,3 @@ def lag(positions: FloatArray, true_positions: FloatArray, dt_s: float) -> float
     if moved == 0.0:
         return float("nan")
     return -float(((estimate - true)[1:-1] * velocity).sum()) / moved
-
-
-@dataclass(frozen=True)
-class Summary:
-    """One error over all sequences; ``None`` where there is nothing to take it of.
-
-    Attributes:
-        mean: Mean of the per-sequence means.
-        std: Standard deviation over all frames together (of the population, as NumPy's default).
-        sem: Standard error of ``mean`` over the sequences (sample standard deviation / √n); ``None`` for one.
-    """
-
-    mean: float | None
-    std: float | None
-    sem: float | None
-
-
-def summarise(sequences: Sequence[Sequence[FloatArray]]) -> Summary:
-    """Mean of per-sequence means, with the spread over frames and over sequences.
-
-    Args:
-        sequences: Per sequence its repeats, each an array of per-frame values of any shape (arms count as
-            frames of their own). NaN is "no value"; a sequence without values does not count.
-
-    Returns:
-        The summary. A sequence's mean is the mean of its repeats' means, so that every sequence weighs the same.
-    """
-    means, values = [], []
-    for repeats in sequences:
-        finite = [array[~np.isnan(array)] for array in (np.asarray(r, dtype=np.float64) for r in repeats)]
-        finite = [array for array in finite if array.size]
-        if finite:
-            means.append(float(np.mean([array.mean() for array in finite])))
-            values.extend(finite)
-    if not means:
-        return Summary(None, None, None)
-    sem = float(np.std(means, ddof=1) / np.sqrt(len(means))) if len(means) > 1 else None
-    return Summary(float(np.mean(means)), float(np.std(np.concatenate(values))), sem)

@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from surgbench.camera import Camera
-from surgbench.change_of_view import ChangeOfView
+from surgbench.camera.change_of_view import ChangeOfView
+from surgbench.config import Section
 from surgbench.contract import Observation, Scene, View
 from surgbench.geometry import FloatArray
 from surgbench.silhouette import KeypointProjector, Reference, SilhouetteEvaluator, iou
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
 Weight = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
 
-class LossWeights(BaseModel):
+class LossWeights(Section):
     """Weights of the loss, relative to the number N of the image's pixels.
 
     So they mean the same at any resolution; the defaults are those of the paper's released code, whose loss
@@ -34,8 +35,6 @@ class LossWeights(BaseModel):
         keypoints: lambda_kpts / N, per pixel of distance.
         keypoint_tolerance_px: tau, distance that costs nothing.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     appearance: Annotated[Weight, Field(description="lambda_app of eq. 6, per pixel of the image")] = 1e-6
     keypoints: Annotated[Weight, Field(description="lambda_kpts of eq. 5, per pixel of the image")] = 5e-4

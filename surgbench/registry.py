@@ -1,8 +1,8 @@
-"""Finds trackers, initialisers, filters and keypoint sources by name, ours and strangers' alike.
+"""Finds plug-ins of every kind (:mod:`surgbench.kinds`) by name, ours and strangers' alike.
 
-A plug-in is a class with a ``name``: in a module of ``surgbench.trackers`` (or of its sub-folder for the
-kind), behind an entry point of the group ``surgbench.<kind>``, or in a file, asked for as ``FILE.py:Class``.
-Its options are the fields of its nested pydantic model ``Config``, where it has one.
+A plug-in is a class with a ``name``: in a module of its kind's package, behind an entry point of its kind's group, or
+in a file, asked for as ``FILE.py:Class``. Its options are the fields of its nested pydantic model ``Config``, where it
+has one.
 """
 
 from __future__ import annotations
@@ -17,37 +17,14 @@ from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from pydantic import BaseModel
 
 from surgbench.config import parse_model
 from surgbench.errors import ConfigError, NotFoundError, unknown_name
 from surgbench.files import sha256_file
-
-Kind = Literal["tracker", "initialiser", "filter", "keypoints"]
-
-PACKAGES: dict[Kind, str] = {
-    "tracker": "surgbench.trackers",
-    "initialiser": "surgbench.trackers.initialisers",
-    "filter": "surgbench.trackers.filters",
-    "keypoints": "surgbench.trackers.keypoints",
-}
-GROUPS: dict[Kind, str] = {
-    "tracker": "surgbench.trackers",
-    "initialiser": "surgbench.initialisers",
-    "filter": "surgbench.filters",
-    "keypoints": "surgbench.keypoints",
-}
-# Names become names of files.
-NAME_PATTERN = r"[A-Za-z0-9][A-Za-z0-9._-]*"
-TASKS = ("instrument", "viewpoint")
-METHODS: dict[Kind, tuple[str, ...]] = {
-    "tracker": ("reset", "step"),
-    "initialiser": ("initialise",),
-    "filter": ("reset", "predict", "update"),
-    "keypoints": ("reset", "detect"),
-}
+from surgbench.kinds import KINDS, NAME_PATTERN
 
 
 @dataclass(frozen=True)
@@ -68,8 +45,8 @@ class Found:
 
     @property
     def task(self) -> str:
-        """What it works on: ``"instrument"`` unless its class has a ``task``."""
-        return str(getattr(self.cls, "task", "instrument"))
+        """What it works on: what its class says, else the default task."""
+        return str(getattr(self.cls, "task", None) or default_task_name())
 
     @property
     def hash(self) -> str:
@@ -90,30 +67,32 @@ class Found:
         return None if reason is None else " ".join(str(reason).split())
 
 
-def _plugin_classes(module: Any, kind: Kind) -> list[type]:
+def _plugin_classes(module: Any, kind: str) -> list[type]:
     """Classes of the module itself that have a name and the kind's methods."""
+    methods = KINDS[kind].methods()
     return [
         cls
         for _, cls in inspect.getmembers(module, inspect.isclass)
         if cls.__module__ == module.__name__
         and isinstance(vars(cls).get("name"), str)
-        and all(callable(getattr(cls, method, None)) for method in METHODS[kind])
+        and all(callable(getattr(cls, method, None)) for method in methods)
     ]
 
 
 @cache
-def discover(kind: Kind) -> dict[str, Found]:
+def discover(kind: str) -> dict[str, Found]:
     """All plug-ins of a kind by name. One that fails to import is listed with its problem, and harms no other.
 
     Raises:
         ConfigError: Two plug-ins have the same name.
     """
     found: list[Found] = []
-    package = importlib.import_module(PACKAGES[kind])
+    place = KINDS[kind]
+    package = importlib.import_module(place.package)
     for info in pkgutil.iter_modules(package.__path__):
-        if info.ispkg:
+        if info.ispkg != bool(place.inside):
             continue
-        source = f"{PACKAGES[kind]}.{info.name}"
+        source = ".".join(filter(None, (place.package, info.name, place.inside)))
         try:
             module = importlib.import_module(source)
             found += [
@@ -122,7 +101,7 @@ def discover(kind: Kind) -> dict[str, Found]:
             ]
         except Exception as error:  # a broken plug-in is listed as such, whatever breaks it
             found.append(Found(info.name, source, None, f"{type(error).__name__}: {error}"))
-    for point in entry_points(group=GROUPS[kind]):
+    for point in entry_points(group=place.group):
         try:
             found.append(Found(point.name, point.value, _checked(point.load(), kind, point.value)))
         except Exception as error:
@@ -135,18 +114,24 @@ def discover(kind: Kind) -> dict[str, Found]:
     return by_name
 
 
-def _checked(cls: Any, kind: Kind, source: str) -> type:
+def default_task_name() -> str:
+    """The task of what names none."""
+    return next(name for name, found in discover("task").items() if getattr(found.cls, "default", False))
+
+
+def _checked(cls: Any, kind: str, source: str) -> type:
     if not inspect.isclass(cls):
         raise ConfigError(f"{source}: not a class")
     name = getattr(cls, "name", None)
     if not isinstance(name, str) or not re.fullmatch(NAME_PATTERN, name):
         raise ConfigError(f"{source}: needs a 'name' of letters, digits, '.', '_' and '-', not {name!r}")
-    if getattr(cls, "task", TASKS[0]) not in TASKS:
-        raise ConfigError(f"{source}: {unknown_name('task', str(getattr(cls, 'task', '')), TASKS)}")
+    task = getattr(cls, "task", None)
+    if task is not None and kind != "task" and task not in discover("task"):
+        raise ConfigError(f"{source}: {unknown_name('task', str(task), discover('task'))}")
     config = getattr(cls, "Config", None)
     if config is not None and not (inspect.isclass(config) and issubclass(config, BaseModel)):
         raise ConfigError(f"{source}: 'Config' must be a pydantic model")
-    for method in METHODS[kind]:
+    for method in KINDS[kind].methods():
         if not callable(getattr(cls, method, None)):
             raise ConfigError(f"{source}: needs a method '{method}'")
     if kind == "filter" and getattr(cls, "needs_truth", False) and not callable(getattr(cls, "give_truth", None)):
@@ -171,7 +156,7 @@ def _load_file(path: Path) -> Any:
     return module
 
 
-def find(kind: Kind, reference: str) -> Found:
+def find(kind: str, reference: str) -> Found:
     """The plug-in called ``reference``.
 
     Args:

@@ -21,7 +21,8 @@ from surgbench.dataset.open import open_dataset
 from surgbench.errors import ConfigError
 from surgbench.files import canonical_json, sha256_file, sha256_text
 from surgbench.registry import discover
-from surgbench.reproduce.table import Block, load_table
+from surgbench.reproduce.load import load_table
+from surgbench.reproduce.table import Block
 from surgbench.suite.plan import complete
 
 FRAMES, SAMPLES = 3, 100
@@ -113,7 +114,7 @@ def main() -> None:
         raise ConfigError("python tests/golden.py FILE.json")
     with tempfile.TemporaryDirectory() as folder:
         content = take(Path(folder))
-    Path(sys.argv[1]).write_text(json.dumps(content, indent=1) + "\n")
+    Path(sys.argv[1]).write_text(json.dumps(content, indent=1, sort_keys=True) + "\n")
 
 
 if __name__ == "__main__":

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from surgbench.arm import CLASSIC_400006, CLASSIC_420006, Manipulator
 from surgbench.geometry import FloatArray
+from surgbench.instrument.arm import CLASSIC_400006, CLASSIC_420006, Manipulator
 
 # A ProGrasp 420093 on a Classic arm: the wrist's two joints after frame 4, and the robot's orientation of the tool tip.
 WRIST_LENGTH_M = 0.0107

@@ -15,8 +15,9 @@ import pytest
 from commandline import RUN, records, surgbench
 
 from surgbench.camera import Camera
-from surgbench.change_of_view import ChangeOfView
-from surgbench.dataset import Dataset, tables
+from surgbench.camera.change_of_view import ChangeOfView
+from surgbench.dataset import tables
+from surgbench.dataset.open import open_as
 from surgbench.dataset.validate import validate
 from surgbench.errors import ConfigError, DatasetError
 from surgbench.generators.auxiliary import (
@@ -32,13 +33,16 @@ from surgbench.generators.sections import Auxiliary
 from surgbench.generators.sequence import make_tables
 from surgbench.geometry import FloatArray, inverse_transform, rotation_angle
 from surgbench.instrument import load_instrument
+from surgbench.records.reader import read_records
 from surgbench.registry import create, find
-from surgbench.report.records import read_records
 from surgbench.report.rows import derive_rows
 from surgbench.silhouette import SilhouetteEvaluator
-from surgbench.suite.execute import UnitData
-from surgbench.suite.plan import Protocol, Row, complete
-from surgbench.suite.replay import replay_traces
+from surgbench.suite.asked import Conditions
+from surgbench.suite.plan import complete
+from surgbench.tasks.instrument.asked import InstrumentRow
+from surgbench.tasks.instrument.dataset import InstrumentDataset
+from surgbench.tasks.instrument.replay import replay_traces
+from surgbench.tasks.instrument.units import UnitData
 from surgbench.viewpoint.scores import view_errors
 
 SMALL = Camera(width=175, height=123, fx=226.5, fy=224.0, cx=73.2, cy=59.3)
@@ -114,7 +118,7 @@ def test_a_reported_pose_has_a_constant_error_and_jitter() -> None:
 
 def test_masks_of_an_auxiliary_view_are_those_of_the_true_states_from_its_true_pose(made: Path) -> None:
     assert validate(made) == []
-    dataset = Dataset.open(made)
+    dataset = open_as(InstrumentDataset, made)
     sequence = dataset.sequences[0]
     instrument = dataset.instrument("large_needle_driver")
     evaluator = SilhouetteEvaluator([instrument], SIDE)
@@ -141,7 +145,9 @@ def test_a_part_has_the_same_files_as_the_whole(made: Path, tmp_path: Path) -> N
     assert sum("views" in path.parts for path in masks) == 2 * 2 * 2 * 2  # views, arms, frames; clean and observed
     for path in masks:
         assert path.read_bytes() == (made / path.relative_to(tmp_path / "part")).read_bytes()
-    whole, part = (Dataset.open(root).sequences[0].auxiliary("gaze") for root in (made, tmp_path / "part"))
+    whole, part = (
+        open_as(InstrumentDataset, root).sequences[0].auxiliary("gaze") for root in (made, tmp_path / "part")
+    )
     np.testing.assert_array_equal(part.T_view_cam("left"), whole.T_view_cam("left")[:2])
 
 
@@ -150,12 +156,12 @@ def test_a_dataset_without_such_views_does_not_know_of_them(tmp_path: Path) -> N
     plain = FEW.model_copy(update={"auxiliary": None, "frames": 2})
     generate(plan_dataset(plain), tmp_path / "plain")
     assert "auxiliary" not in (tmp_path / "plain" / "dataset.json").read_text()
-    dataset = Dataset.open(tmp_path / "plain")
+    dataset = open_as(InstrumentDataset, tmp_path / "plain")
     with pytest.raises(DatasetError, match="auxiliary view"):
         dataset.sequences[0].auxiliary("gaze")
     with pytest.raises(ConfigError, match="'few' has no auxiliary views"):
-        complete(Row(tracker="cmaes", view="gaze"), Protocol(), dataset)
-    assert "view" not in complete(Row(tracker="cmaes"), Protocol(), dataset).spec()
+        complete(InstrumentRow(tracker="cmaes", view="gaze"), Conditions(), dataset)
+    assert "view" not in complete(InstrumentRow(tracker="cmaes"), Conditions(), dataset).spec()
 
 
 def damage(root: Path, path: str, change: Callable[[dict[str, Any]], None]) -> None:
@@ -205,14 +211,14 @@ def test_a_manifest_that_contradicts_itself_is_refused(
     manifest["sequences"][0]["auxiliary"]["gaze"].update(change)
     (tmp_path / "dataset.json").write_text(json.dumps(manifest))
     with pytest.raises(DatasetError, match=message):
-        Dataset.open(tmp_path)
+        open_as(InstrumentDataset, tmp_path)
 
 
 # --- runs
 
 
 def test_trackers_are_shown_the_reported_pose_and_not_the_true_one(made: Path) -> None:
-    dataset = Dataset.open(made)
+    dataset = open_as(InstrumentDataset, made)
     data = UnitData(dataset, dataset.units("single")[1], "none", "gaze")
     sequence = dataset.sequences[0]
     view = sequence.auxiliary("gaze")
@@ -234,7 +240,7 @@ def test_a_run_with_a_view_is_a_row_of_its_own(made: Path, tmp_path: Path) -> No
     }
     assert rows["cmaes-static"]["variant"] == "also the view static, keypoints observed"
     record = next(one for one in records(tmp_path) if one["spec"].get("view") == "static")
-    assert replay_traces(record, Dataset.open(made), [1])[1].states
+    assert replay_traces(record, open_as(InstrumentDataset, made), [1])[1].states
 
 
 def test_gradients_contours_and_particles_take_two_views_too(made: Path, tmp_path: Path) -> None:
@@ -256,7 +262,7 @@ def test_what_cannot_be_is_said_in_one_line(made: Path, tmp_path: Path, capsys: 
 
 def test_a_second_view_that_shows_nothing_harms_nobody(made: Path) -> None:
     """The camera has lost the instrument: every tracker goes on with the endoscope."""
-    dataset = Dataset.open(made)
+    dataset = open_as(InstrumentDataset, made)
     data = UnitData(dataset, dataset.units("single")[0], "none", "gaze")
     assert data.truth is not None
     state = data.truth[0, 0]

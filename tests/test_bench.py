@@ -15,14 +15,14 @@ from support import resting_state
 from typer.testing import CliRunner
 
 from surgbench import mitsuba_backends
-from surgbench.bench import silhouettes
-from surgbench.bench.peers import PEERS, Peer
-from surgbench.bench.peers.body import Body
-from surgbench.bench.process import RendererProcess, own_cores
-from surgbench.bench.silhouettes import QUICK, check_threads, compare
-from surgbench.bench.workload import TRUE_STATE, silhouette_workload
 from surgbench.camera import Camera
 from surgbench.cli import app
+from surgbench.comparison import silhouettes
+from surgbench.comparison.peers import PEERS, Peer
+from surgbench.comparison.peers.body import Body
+from surgbench.comparison.process import RendererProcess, own_cores
+from surgbench.comparison.silhouettes import QUICK, check_threads, compare
+from surgbench.comparison.workload import TRUE_STATE, silhouette_workload
 from surgbench.errors import ConfigError
 from surgbench.geometry import FloatArray
 from surgbench.instrument import load_instrument

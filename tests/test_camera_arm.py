@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from surgbench.arm import CLASSIC_420006
 from surgbench.geometry import FloatArray, is_rigid
+from surgbench.instrument.arm import CLASSIC_420006
 from surgbench.viewpoint import kinematics
 from surgbench.viewpoint.camera_arm import CameraArm
 

@@ -12,11 +12,12 @@ import numpy as np
 import pytest
 from commandline import surgbench
 
-from surgbench.conformance.checks import CHECKS, Outcome, checks_of, run_check
+from surgbench.conformance.checks import Outcome, checks_of, run_check
 from surgbench.conformance.conduct import conduct
-from surgbench.conformance.scenes import evaluator, make_play
-from surgbench.conformance.session import Subject
+from surgbench.conformance.subject import Subject
 from surgbench.registry import discover, find
+from surgbench.tasks.instrument.conformance.checks import CHECKS
+from surgbench.tasks.instrument.conformance.scenes import evaluator, make_play
 
 STRANGERS = Path(__file__).with_name("strangers.py")
 
@@ -33,7 +34,7 @@ def test_every_tracker_of_ours_keeps_the_rules(name: str) -> None:
     subject, broken = Subject(name), []
     for check in checks_of(subject):  # here, not in a child: its start takes as long as all checks of a quick tracker
         outcome = run_check(check, subject)
-        subject = replace(subject, kinematics=subject.kinematics or outcome.needs_kinematics)
+        subject = replace(subject, aids=subject.aids | ({outcome.needs} if outcome.needs else set()))
         broken += [outcome] if outcome.status not in ("ok", "refused") else []
     assert broken == []
 

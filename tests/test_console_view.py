@@ -13,12 +13,11 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from surgbench.camera import Camera
+from surgbench.camera.undistortion import Undistortion
 from surgbench.errors import ConfigError, SurgbenchError
 from surgbench.geometry import FloatArray
 from surgbench.report.drawing import Picture
-from surgbench.undistortion import Undistortion
-from surgbench.viewpoint.stereo import AUTOCAM_STEREO
-from surgbench.viewpoint.video import (
+from surgbench.viewpoint.optics.console import (
     KERNEL_PX,
     SIGMA_PX,
     ConsoleSettings,
@@ -30,6 +29,7 @@ from surgbench.viewpoint.video import (
     sharpen,
     shift,
 )
+from surgbench.viewpoint.optics.stereo import AUTOCAM_STEREO
 
 LEFT, RIGHT = AUTOCAM_STEREO.left, AUTOCAM_STEREO.right
 IDEAL = Camera(width=512, height=384, fx=390.0, fy=390.0, cx=250.0, cy=190.0)

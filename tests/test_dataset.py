@@ -12,17 +12,19 @@ import numpy as np
 import pytest
 
 from surgbench.camera import Camera
-from surgbench.dataset import Dataset, tables
-from surgbench.dataset.format import Manifest, SequenceEntry
+from surgbench.dataset import tables
 from surgbench.dataset.masks import decode_mask, decode_png, encode_mask, read_mask
+from surgbench.dataset.open import open_as
 from surgbench.dataset.validate import validate
 from surgbench.errors import DatasetError
 from surgbench.generators.generate import generate, plan_dataset
 from surgbench.generators.presets import Preset
 from surgbench.geometry import is_rigid, look_at_rotation, rotation_angle
 from surgbench.state import ANGLES, POSITION
-from surgbench.suite.execute import UnitData
-from surgbench.suite.plan import Readings
+from surgbench.tasks.instrument.asked import Readings
+from surgbench.tasks.instrument.dataset import InstrumentDataset
+from surgbench.tasks.instrument.format import InstrumentManifest, SequenceEntry
+from surgbench.tasks.instrument.units import UnitData
 
 CAMERA = Camera(width=90, height=62, fx=113.0, fy=112.0, cx=36.3, cy=29.4)
 MASK = "sequences/000/observed/left/000001.png"
@@ -64,7 +66,7 @@ def edit_table(root: Path, path: str, change: Callable[[dict[str, Any]], None]) 
 
 
 def test_reader(original: Path) -> None:
-    dataset = Dataset.open(original)
+    dataset = open_as(InstrumentDataset, original)
     assert dataset.hash == hashlib.sha256((original / "dataset.json").read_bytes()).hexdigest()
     assert dataset.name == "tiny"
     sequence = dataset.sequence("000")
@@ -85,7 +87,7 @@ def test_reader(original: Path) -> None:
 
 
 def test_kinematics(original: Path) -> None:
-    sequence = Dataset.open(original).sequence("000")
+    sequence = open_as(InstrumentDataset, original).sequence("000")
     poses, states = sequence.kinematics("right"), sequence.states("right")
     assert poses is not None
     assert states is not None
@@ -107,7 +109,7 @@ def test_a_dataset_from_before_there_were_kinematics_is_read(root: Path) -> None
     del manifest["sequences"][0]["T_cam_base"]
     (root / "dataset.json").write_text(json.dumps(manifest))
     assert validate(root) == []
-    dataset = Dataset.open(root)
+    dataset = open_as(InstrumentDataset, root)
     sequence = dataset.sequence("000")
     assert sequence.kinematics("left") is None
     assert sequence.T_cam_base("left") is None
@@ -124,7 +126,7 @@ def test_kinematics_come_with_readings(root: Path, readings: Readings) -> None:
                 columns[name][1] = np.nan
 
     edit_table(root, OBSERVATIONS, lose)
-    dataset = Dataset.open(root)
+    dataset = open_as(InstrumentDataset, root)
     sequence, unit = dataset.sequence("000"), dataset.units("dual")[0]
     mask = sequence.mask("both", 0)
     data = UnitData(dataset, unit, readings)
@@ -145,7 +147,7 @@ def test_kinematics_come_with_readings(root: Path, readings: Readings) -> None:
 
 
 def test_units(original: Path) -> None:
-    dataset = Dataset.open(original)
+    dataset = open_as(InstrumentDataset, original)
     assert [(u.id, u.sequence, u.arms, u.kind) for u in dataset.units("single")] == [
         ("000-left", "000", ("left",), "left"),
         ("000-right", "000", ("right",), "right"),
@@ -156,11 +158,11 @@ def test_units(original: Path) -> None:
 
 
 def test_a_sequence_with_one_arm_keeps_its_id(original: Path) -> None:
-    dataset = Dataset.open(original)
+    dataset = open_as(InstrumentDataset, original)
     (entry,) = dataset.manifest.sequences
     changes = {"arms": ("right",), "kinds": ("right",), "instruments": {"right": "large_needle_driver"}}
     alone = entry.model_copy(update=changes)
-    dataset = Dataset(original, dataset.manifest.model_copy(update={"sequences": (alone,)}), "")
+    dataset = InstrumentDataset(original, dataset.manifest.model_copy(update={"sequences": (alone,)}), "")
     assert [(unit.id, unit.arms, unit.kind) for unit in dataset.units("single")] == [("000", ("right",), "right")]
     with pytest.raises(DatasetError, match=r"no sequence has two arms in one mask \('both'\); try --arms single"):
         dataset.units("dual")
@@ -177,14 +179,14 @@ def test_a_sequence_with_one_arm_keeps_its_id(original: Path) -> None:
 )
 def test_asking_for_what_is_not_there(original: Path, ask: Callable[[Any], Any], message: str) -> None:
     with pytest.raises(DatasetError) as caught:
-        ask(Dataset.open(original).sequence("000"))
+        ask(open_as(InstrumentDataset, original).sequence("000"))
     assert message in str(caught.value)
 
 
 def test_opening_what_is_no_dataset(root: Path, tmp_path: Path) -> None:
     def refusal(path: Path) -> str:
         with pytest.raises(DatasetError) as caught:
-            Dataset.open(path)
+            open_as(InstrumentDataset, path)
         assert "\n" not in str(caught.value)
         return str(caught.value)
 
@@ -207,7 +209,7 @@ def test_opening_what_is_no_dataset(root: Path, tmp_path: Path) -> None:
 
 def test_manifest_survives_a_round_trip_and_is_sorted(original: Path) -> None:
     data = (original / "dataset.json").read_bytes()
-    assert Manifest.model_validate(json.loads(data)).to_bytes() == data
+    assert InstrumentManifest.model_validate(json.loads(data)).to_bytes() == data
     files = list(json.loads(data)["files"])
     assert files == sorted(files)
 
@@ -296,7 +298,7 @@ def test_tables_keep_nan_and_their_bytes() -> None:
 def test_a_sound_dataset_has_no_problems(original: Path) -> None:
     checked: list[float] = []
     assert validate(original, checked.append) == []
-    assert sum(checked) == len(Dataset.open(original).manifest.files)
+    assert sum(checked) == len(open_as(InstrumentDataset, original).manifest.files)
 
 
 def the_problem(root: Path) -> str:

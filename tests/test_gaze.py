@@ -6,8 +6,8 @@ import numpy as np
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from surgbench.conformance.worlds import circling, feature_poses, make_trial, random_trial
 from surgbench.geometry import FloatArray, inverse_transform
+from surgbench.tasks.viewpoint.conformance.worlds import circling, feature_poses, make_trial, random_trial
 from surgbench.trackers.gaze import Gaze, GazeConfig
 from surgbench.trackers.viewing.approach import chase, track
 from surgbench.trackers.viewing.fit import RESIDUALS, fit, residuals

@@ -18,7 +18,7 @@ import pytest
 from surgbench.camera import Camera
 from surgbench.config import locate, packaged_names, read_yaml
 from surgbench.contract import Mask
-from surgbench.dataset import Dataset
+from surgbench.dataset.open import open_as
 from surgbench.dataset.validate import validate
 from surgbench.errors import ConfigError, DatasetError, NotFoundError, SurgbenchError
 from surgbench.generators import generate as module
@@ -41,6 +41,7 @@ from surgbench.instrument import Instrument, load_instrument, save_instrument
 from surgbench.randomness import generator
 from surgbench.silhouette import SilhouetteEvaluator
 from surgbench.state import JOINTS, POSITION
+from surgbench.tasks.instrument.dataset import InstrumentDataset
 
 SMALL = Camera(width=175, height=123, fx=226.5, fy=224.0, cx=73.2, cy=59.3)
 FEW = Preset(name="few", pairs=2, frames=3, camera=SMALL)
@@ -356,7 +357,7 @@ def test_a_wrong_option_is_named(options: dict[str, Any], message: str) -> None:
 
 def test_a_generated_dataset_is_sound_and_complete(made: Path, instrument: Instrument) -> None:
     assert validate(made) == []
-    dataset = Dataset.open(made)
+    dataset = open_as(InstrumentDataset, made)
     assert [sequence.speed for sequence in dataset.sequences] == ["nominal", "fast"]
     sequence = dataset.sequences[1]
     evaluator = SilhouetteEvaluator([dataset.instrument("large_needle_driver")], SMALL)
@@ -396,7 +397,7 @@ def test_free_motion_keeps_the_numbers_it_had_before_there_were_kinematics(made:
     assert fingerprint(before) == "4977f366890ee8f65dfcf7fd673f7d348c592a613303f99216236c3e1bdcae13"
     areas = [
         [int(mask(kind, 2).sum()) for mask in (sequence.clean_mask, sequence.mask) for kind in sequence.entry.kinds]
-        for sequence in Dataset.open(made).sequences
+        for sequence in open_as(InstrumentDataset, made).sequences
     ]
     # Ties at edges may fall either way on another processor.
     np.testing.assert_allclose(areas, [[1812, 575, 2387, 1812, 575, 2387], [1082, 693, 1775, 1082, 524, 1775]], atol=3)
@@ -438,7 +439,7 @@ def test_killed_and_started_again_gives_the_same_bytes(tmp_path: Path) -> None:
     process.wait()
     assert not (killed / "dataset.json").exists()
     with pytest.raises(DatasetError, match="not complete; run the same"):
-        Dataset.open(killed)
+        open_as(InstrumentDataset, killed)
     # What a kill in the middle of a write, and a power cut, leave behind.
     stray = killed / "truth/000/masks/left/000001.png.1.partial"
     stray.write_bytes(b"half")
@@ -638,7 +639,7 @@ def test_a_part_has_the_same_files_as_the_whole(made: Path, tmp_path: Path) -> N
     pictures = [name for name in part if name.endswith(".png")]
     assert len(pictures) == 2 * 2 * 3
     assert all(part[name] == whole[name] for name in pictures)
-    first, all_of_it = (Dataset.open(folder).sequence("001") for folder in (tmp_path / "part", made))
+    first, all_of_it = (open_as(InstrumentDataset, folder).sequence("001") for folder in (tmp_path / "part", made))
     assert first.entry == all_of_it.entry.model_copy(update={"frames": 2})
     for arm in first.arms:
         for table in ("states", "readings", "keypoints"):

@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 from surgbench.camera import Camera
-from surgbench.dataset import Dataset
-from surgbench.dataset.import_masks import binarise, import_masks
+from surgbench.dataset.open import open_as
 from surgbench.dataset.validate import validate
 from surgbench.errors import NotFoundError, SurgbenchError
+from surgbench.exchange.masks import binarise, import_masks
+from surgbench.tasks.instrument.dataset import InstrumentDataset
 
 CAMERA: dict[str, Any] = {"width": 40, "height": 30, "fx": 60.0, "fy": 61.0, "cx": 19.0, "cy": 14.5}
 FRAMES = 3
@@ -57,7 +58,7 @@ def test_masks_become_a_dataset_without_truth(source: Path, tmp_path: Path) -> N
     assert import_masks(source, out, fps=25.0, progress=done.append) == FRAMES
     assert sum(done) == FRAMES
     assert validate(out) == []
-    dataset = Dataset.open(out)
+    dataset = open_as(InstrumentDataset, out)
     assert dataset.name == "knot-tying"
     assert [(unit.id, unit.arms, unit.kind) for unit in dataset.units()] == [("000", ("left",), "left")]
     sequence = dataset.sequences[0]
@@ -78,7 +79,7 @@ def test_masks_become_a_dataset_without_truth(source: Path, tmp_path: Path) -> N
 def test_images_joints_and_tips(full: Path, tmp_path: Path) -> None:
     import_masks(full, tmp_path / "out", arm="right", name="real")
     assert validate(tmp_path / "out") == []
-    dataset = Dataset.open(tmp_path / "out")
+    dataset = open_as(InstrumentDataset, tmp_path / "out")
     sequence = dataset.sequences[0]
     assert (dataset.name, sequence.arms) == ("real", ("right",))
     image = sequence.image(2)
@@ -99,7 +100,7 @@ def test_single_images_are_sequences_of_their_own(full: Path, tmp_path: Path) ->
         (full / table).write_text(text.replace("\n1,", "\n12,"))
     import_masks(full, tmp_path / "out", single_images=True)
     assert validate(tmp_path / "out") == []
-    dataset = Dataset.open(tmp_path / "out")
+    dataset = open_as(InstrumentDataset, tmp_path / "out")
     assert [(s.id, s.frames) for s in dataset.sequences] == [("000000", 1), ("000002", 1), ("000012", 1)]
     assert [unit.id for unit in dataset.units()] == ["000000", "000002", "000012"]
     np.testing.assert_array_equal(dataset.sequence("000012").readings("left"), [[0.1, 0.2, -0.05]])
@@ -109,7 +110,7 @@ def test_single_images_are_sequences_of_their_own(full: Path, tmp_path: Path) ->
 def test_the_first_frame_may_have_any_number(source: Path, tmp_path: Path) -> None:
     (source / "masks" / "000000.png").unlink()
     import_masks(source, tmp_path / "out")
-    sequence = Dataset.open(tmp_path / "out").sequences[0]
+    sequence = open_as(InstrumentDataset, tmp_path / "out").sequences[0]
     assert np.array_equal(sequence.mask("left", 0), blob(1) > 0)
 
 
@@ -117,7 +118,7 @@ def test_the_same_recording_gives_the_same_bytes(full: Path, tmp_path: Path) -> 
     hashes = []
     for name in ("a", "b"):
         import_masks(full, tmp_path / name)
-        hashes.append(Dataset.open(tmp_path / name).hash)
+        hashes.append(open_as(InstrumentDataset, tmp_path / name).hash)
     assert hashes[0] == hashes[1]
 
 
@@ -144,7 +145,7 @@ def test_distorted_recordings_are_undistorted(full: Path, tmp_path: Path) -> Non
     cv2.circle(picture, (35, 25), 2, 255, -1)
     write_png(full / "masks" / "000000.png", picture)
     import_masks(full, tmp_path / "out")
-    dataset = Dataset.open(tmp_path / "out")
+    dataset = open_as(InstrumentDataset, tmp_path / "out")
     assert dataset.manifest.configuration["undistorted"] is True
     assert dataset.manifest.configuration["source_camera"]["distortion"] == [-0.4, 0.1, 0.0, 0.0, 0.0]
     sequence = dataset.sequences[0]

@@ -24,7 +24,7 @@ from surgbench.instrument import Instrument, load_instrument, save_instrument
 from surgbench.instrument.meshes import check_mesh, edge_defects, signed_volume
 from surgbench.instrument.model import LinkMesh
 from surgbench.instrument.shapes import loft_mesh
-from surgbench.instrument.spec import Loft, Section
+from surgbench.instrument.spec import CrossSection, Loft
 
 NAME = "large_needle_driver"
 
@@ -206,9 +206,9 @@ def test_skeleton_hangs_together(driver: Instrument) -> None:
 @pytest.mark.parametrize("sides", [3, 4, 7, 24])
 def test_lofts_are_closed_along_every_axis(axis: Any, sides: int) -> None:
     sections = (
-        Section(at_m=-0.01, radii_m=(0.002, 0.003)),
-        Section(at_m=0.0, radii_m=(0.004, 0.003), centre_m=(0.001, 0.0), exponent=6.0),
-        Section(at_m=0.02, radii_m=(0.001, 0.001)),
+        CrossSection(at_m=-0.01, radii_m=(0.002, 0.003)),
+        CrossSection(at_m=0.0, radii_m=(0.004, 0.003), centre_m=(0.001, 0.0), exponent=6.0),
+        CrossSection(at_m=0.02, radii_m=(0.001, 0.001)),
     )
     mesh = loft_mesh(Loft(axis=axis, sides=sides, sections=sections))
     assert len(mesh.faces) == 2 * sides * 2 + 2 * (sides - 2)
@@ -222,7 +222,7 @@ def test_lofts_are_closed_along_every_axis(axis: Any, sides: int) -> None:
 
 
 def test_a_coarse_cylinder_has_the_true_mean_width() -> None:
-    ends = tuple(Section(at_m=z, radii_m=(0.004, 0.004)) for z in (0.0, 0.1))
+    ends = tuple(CrossSection(at_m=z, radii_m=(0.004, 0.004)) for z in (0.0, 0.1))
     ring = loft_mesh(Loft(axis="z", sides=8, sections=ends)).vertices_m[:8, :2]
     angles = np.linspace(0, np.pi, 720, endpoint=False)
     across = ring @ np.stack([np.cos(angles), np.sin(angles)])
@@ -230,7 +230,7 @@ def test_a_coarse_cylinder_has_the_true_mean_width() -> None:
 
 
 def test_four_sides_make_a_box() -> None:
-    ends = tuple(Section(at_m=z, radii_m=(0.002, 0.001), exponent=20.0) for z in (0.0, 0.01))
+    ends = tuple(CrossSection(at_m=z, radii_m=(0.002, 0.001), exponent=20.0) for z in (0.0, 0.01))
     mesh = loft_mesh(Loft(axis="z", sides=4, sections=ends))
     np.testing.assert_allclose(np.ptp(mesh.vertices_m, axis=0), [0.004, 0.002, 0.01], rtol=0.03)
 

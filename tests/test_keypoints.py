@@ -17,14 +17,14 @@ from hypothesis import strategies as st
 from safetensors.torch import save_file
 from support import observe, resting_state, scene_of
 
-from surgbench.bench.keypoints import groups, measure, picture, worst
 from surgbench.camera import Camera
+from surgbench.comparison.keypoints import groups, measure, picture, worst
 from surgbench.contract import Mask
 from surgbench.errors import ConfigError, SurgbenchError
 from surgbench.generators.tip_masks import HELD_OUT, TipMasks, TipMaskSettings
 from surgbench.geometry import FloatArray
 from surgbench.instrument import load_instrument
-from surgbench.keypoint_accuracy import accuracy, outcome, pair_errors
+from surgbench.keypoints.accuracy import accuracy, outcome, pair_errors
 from surgbench.registry import configure, create, find
 from surgbench.trackers.keypoints.heatmaps.detector import without_norms
 from surgbench.trackers.keypoints.heatmaps.model import load_network, save_network

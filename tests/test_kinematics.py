@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from surgbench.arm import CLASSIC_400006
 from surgbench.dataset import tables
 from surgbench.generators.generate import plan_dataset
 from surgbench.generators.observations import Kinematic, cable_tension, observe_arm, observe_free_tool, observe_joints
@@ -21,8 +20,10 @@ from surgbench.geometry import (
     rotation_from_vector,
     rotation_vector,
 )
+from surgbench.instrument.arm import CLASSIC_400006
 from surgbench.randomness import generator
 from surgbench.state import ANGLES, POSITION
+from surgbench.tasks.instrument.tables import KINEMATICS_COLUMNS, arm_columns
 
 DT_S = 1 / 30
 EXACT = Kinematics.model_validate({name: 0.0 for name in Kinematics.model_fields})
@@ -124,7 +125,7 @@ def test_what_a_preset_makes(name: str) -> None:
     plan = plan_dataset(load_preset(name, pairs=1, frames=60))
     made = make_tables(plan.preset, plan.sequences[0], plan.real_instrument, plan.real_camera)
     for index, arm in enumerate(plan.sequences[0].arms):
-        poses = tables.stack(made.observed, tables.arm_columns(arm, tables.KINEMATICS_COLUMNS))
+        poses = tables.stack(made.observed, arm_columns(arm, KINEMATICS_COLUMNS))
         read_pose = rigid_transform(rotation_from_vector(poses[:, :3]), poses[:, 3:])
         nominal = np.reshape(made.T_cam_base[arm], (4, 4))
         assert is_rigid(nominal)

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from surgbench.geometry import FloatArray, inverse_transform, is_rigid, rigid_transform, rotation_from_vector
-from surgbench.viewpoint.grasp_object import TAG_SIDE_IN_CODE_M, Tags, grasp_object, tag_texture
-from surgbench.viewpoint.markers import CentroidMeasurement, Found, TagFinder
-from surgbench.viewpoint.photograph import Photographer
+from surgbench.viewpoint.optics.grasp_object import TAG_SIDE_IN_CODE_M, Tags, grasp_object, tag_texture
+from surgbench.viewpoint.optics.markers import CentroidMeasurement, Found, TagFinder
+from surgbench.viewpoint.optics.photograph import Photographer
+from surgbench.viewpoint.optics.stereo import AUTOCAM_STEREO
 from surgbench.viewpoint.placement import look_at
-from surgbench.viewpoint.stereo import AUTOCAM_STEREO
 
 LEFT = AUTOCAM_STEREO.left
 TAGS = Tags()

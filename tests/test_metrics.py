@@ -21,9 +21,9 @@ from surgbench.metrics import (
     mask_error,
     pose_errors,
     rotation_error,
-    summarise,
 )
 from surgbench.randomness import generator
+from surgbench.report.summary import summarise
 from surgbench.state import BETA, twin
 
 CAMERA = Camera(width=700, height=493, fx=905.955, fy=904.820, cx=294.280, cy=238.699)

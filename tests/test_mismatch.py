@@ -10,7 +10,7 @@ import trimesh
 from support import resting_state
 
 from surgbench.camera import Camera
-from surgbench.dataset import Dataset
+from surgbench.dataset.open import open_as
 from surgbench.dataset.validate import validate
 from surgbench.generators.generate import generate, plan_dataset
 from surgbench.generators.lens import Lens
@@ -20,6 +20,7 @@ from surgbench.generators.sections import Mismatch
 from surgbench.instrument import Instrument, load_instrument
 from surgbench.randomness import generator
 from surgbench.silhouette import SilhouetteEvaluator
+from surgbench.tasks.instrument.dataset import InstrumentDataset
 
 SMALL = Camera(width=175, height=123, fx=226.5, fy=224.0, cx=73.2, cy=59.3)
 
@@ -143,7 +144,7 @@ def test_a_dataset_declares_the_nominal_and_shows_the_real(tmp_path: Path, instr
     assert generate(plan, tmp_path / "made")
     assert generate(plan, tmp_path / "made") is False
     assert validate(tmp_path / "made") == []
-    dataset = Dataset.open(tmp_path / "made")
+    dataset = open_as(InstrumentDataset, tmp_path / "made")
     sequence = dataset.sequences[0]
     assert sequence.camera == SMALL
     declared = dataset.instrument("large_needle_driver")

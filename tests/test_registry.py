@@ -11,13 +11,14 @@ import pytest
 
 from surgbench import registry
 from surgbench.errors import ConfigError, NotFoundError
+from surgbench.kinds import KINDS
 from surgbench.registry import Found, configure, create, describe, discover, find
 
 HERE = Path(__file__).parent
 
 
-@pytest.mark.parametrize("kind", ["tracker", "initialiser", "filter", "keypoints"])
-def test_every_plugin_of_ours_loads_with_its_defaults(kind: registry.Kind) -> None:
+@pytest.mark.parametrize("kind", sorted(KINDS))
+def test_every_plugin_of_ours_loads_with_its_defaults(kind: str) -> None:
     for name, found in discover(kind).items():
         assert found.problem is None, found
         plugin = create(found, {})

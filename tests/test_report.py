@@ -16,9 +16,11 @@ from typer.testing import CliRunner
 
 from surgbench.cli.report import report
 from surgbench.errors import DatasetError
+from surgbench.records.reader import read_records
 from surgbench.report import render
-from surgbench.report.records import read_records
-from surgbench.report.rows import ERRORS, INSTRUMENT_COLUMNS, Row, read_rows
+from surgbench.report.row import Row
+from surgbench.report.rows import read_rows
+from surgbench.tasks.instrument.rows import ERRORS, INSTRUMENT_COLUMNS
 
 GOLDEN_CSV = """\
 row_id,task,dataset,tracker,variant,settings_hash,status,error,sequences,frames,repeats,coverage,latency_ms,\

@@ -15,16 +15,19 @@ from commandline import surgbench
 
 from surgbench.config import packaged_names
 from surgbench.errors import ConfigError, NotFoundError
-from surgbench.reproduce import figure
+from surgbench.report import figures
 from surgbench.reproduce.check import Chosen, beyond_tolerance, choose
-from surgbench.reproduce.compare import PUBLISHED, Pair, compare
+from surgbench.reproduce.compare import Pair, compare
 from surgbench.reproduce.consistency import inconsistencies
+from surgbench.reproduce.files import read_results
 from surgbench.reproduce.fingerprint import head, record_sha256
-from surgbench.reproduce.markdown import markdown
+from surgbench.reproduce.load import load_table
 from surgbench.reproduce.published import load_published
-from surgbench.reproduce.results import Results, read_results
-from surgbench.reproduce.sheet import sheet_of
-from surgbench.reproduce.table import Definition, load_table
+from surgbench.reproduce.results import Results
+from surgbench.reproduce.table import Definition
+from surgbench.task import find_task
+from surgbench.tasks.instrument.measures import PUBLISHED
+from surgbench.tasks.instrument.page import markdown
 
 STRANGERS = Path(__file__).with_name("strangers.py")
 FRAMES = 12
@@ -42,7 +45,7 @@ TABLE: dict[str, Any] = {
             "note": "Starts from the truth.",
             "dataset": {"preset": "mini", "frames": FRAMES},
             "quick_sequences": ["000"],
-            "keypoints": "observed",
+            "defaults": {"keypoints": "observed"},
             "published_on": "synthetic",
             "rows": [
                 {"row_id": "still", "label": "Still", "tracker": f"{STRANGERS}:Still", "published": "gd-10"},
@@ -59,6 +62,9 @@ TABLE: dict[str, Any] = {
         }
     ],
 }
+
+
+SHEET = find_task("instrument").sheet
 
 
 @pytest.fixture(scope="module")
@@ -97,12 +103,12 @@ def results(made: Path) -> Results:
 
 
 def test_a_blocks_keypoints_are_its_rows_unless_they_name_others(tmp_path: Path, definition: Definition) -> None:
-    assert [row.keypoints for _, row in definition.table.rows()] == ["observed", "observed"]
+    assert [row.model_dump()["keypoints"] for _, row in definition.table.rows()] == ["observed", "observed"]
     table = json.loads(json.dumps(TABLE))
     table["blocks"][0]["rows"][0]["keypoints"] = "corners"
     (tmp_path / "other.yaml").write_text(yaml.safe_dump(table), encoding="utf-8")
     rows = load_table(str(tmp_path / "other.yaml")).table.rows()
-    assert [row.asked(quick=False).keypoints for _, row in rows] == ["corners", "observed"]
+    assert [row.asked(quick=False).model_dump()["keypoints"] for _, row in rows] == ["corners", "observed"]
 
 
 def test_every_file_is_there_and_fits(made: Path, definition: Definition, results: Results) -> None:
@@ -270,7 +276,7 @@ def test_estimates_that_come_out_differently_fail(copy: Path, capsys: pytest.Cap
 def test_tolerance_follows_the_spread() -> None:
     """Other bits, as on another processor, are no difference; other errors are."""
     committed = {"frames": 100, "errors": {"rotation_error_rad": [0.1, 0.1]}}
-    tolerances = sheet_of("instrument").no_difference
+    tolerances = find_task("instrument").sheet.no_difference
     for now, beyond in ((0.1, False), (0.19, False), (0.01, False), (0.3, True), (float("inf"), True)):
         assert bool(beyond_tolerance(committed, {"errors": {"rotation_error_rad": [now, 0.1]}}, tolerances)) == beyond
     assert beyond_tolerance(committed, {"errors": {}}, tolerances) == [("rotation_error_rad", 0.1, float("inf"))]
@@ -306,12 +312,12 @@ def test_fingerprint_knows_estimates_and_not_times(made: Path) -> None:
     elsewhere["dataset_path"] = "/elsewhere"
     elsewhere["frames"]["latency_ms"] = [1.0] * FRAMES
     assert record_sha256(elsewhere) == record_sha256(record())
-    assert head(elsewhere, 5) == head(record(), 5)
+    assert head(elsewhere, 5, SHEET) == head(record(), 5, SHEET)
     other = record()
     other["frames"]["state"][4][8] += 1e-15
     assert record_sha256(other) != record_sha256(record())
-    assert head(other, 5)["states_sha256"] != head(record(), 5)["states_sha256"]
-    assert head(other, 4) == head(record(), 4)
+    assert head(other, 5, SHEET)["states_sha256"] != head(record(), 5, SHEET)["states_sha256"]
+    assert head(other, 4, SHEET) == head(record(), 4, SHEET)
 
 
 # --- tables and published figures as files
@@ -391,7 +397,7 @@ def test_no_worse_than_published_is_met() -> None:
 
 def test_only_rows_with_a_published_one_are_compared(definition: Definition, results: Results) -> None:
     block = definition.table.blocks[0]
-    found = compare(block, results.rows, definition.published)
+    found = compare(block, results.rows, definition.published, PUBLISHED)
     assert [one.row.id for one in found] == ["still", "noisy-joints"]
     assert {pair.measure.key for pair in found[0].pairs} == {
         *("rotation_error_rad", "translation_error_m", "q1_error_rad", "q2_error_rad", "q3_error_rad"),
@@ -406,4 +412,4 @@ def test_without_matplotlib_one_line_says_so(monkeypatch: pytest.MonkeyPatch) ->
 
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     with pytest.raises(SurgbenchError, match=r"pip install 'surgbench\[plots\]'"):
-        figure.check_matplotlib()
+        figures.check_matplotlib()

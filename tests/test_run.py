@@ -14,10 +14,11 @@ import numpy as np
 import pytest
 from commandline import RUN, records, surgbench
 
-from surgbench.dataset import Dataset
+from surgbench.dataset.open import open_as
 from surgbench.generators.generate import generate, plan_dataset
 from surgbench.generators.presets import load_preset
-from surgbench.suite.replay import replay_traces
+from surgbench.tasks.instrument.dataset import InstrumentDataset
+from surgbench.tasks.instrument.replay import replay_traces
 
 STRANGERS = Path(__file__).with_name("strangers.py")
 FRAMES = 4
@@ -48,7 +49,7 @@ def test_a_strangers_class_runs(dataset: Path, tmp_path: Path, capsys: pytest.Ca
         assert len(record["frames"]["state"]) == FRAMES
         assert record["frames"]["state"][0] == record["frames"]["start"][0]
         assert record["environment"]["packages"]["numpy"] == np.__version__
-        assert record["spec"]["dataset"]["sha256"] == Dataset.open(dataset).hash
+        assert record["spec"]["dataset"]["sha256"] == open_as(InstrumentDataset, dataset).hash
     assert "still" in capsys.readouterr().out
 
 
@@ -174,8 +175,8 @@ def test_readings_reach_the_tracker(dataset: Path, tmp_path: Path) -> None:
     """The still tracker returns its start, whose joints are the readings, clipped to the limits."""
     surgbench(*RUN, "--dataset", dataset, "--tracker", f"{STRANGERS}:Still", "--joints", "--out", tmp_path)
     surgbench(*RUN, "--dataset", dataset, "--tracker", f"{STRANGERS}:Still", "--readings", "true", "--out", tmp_path)
-    sequence = Dataset.open(dataset).sequence("000")
-    limits = Dataset.open(dataset).instrument("large_needle_driver").search_limits
+    sequence = open_as(InstrumentDataset, dataset).sequence("000")
+    limits = open_as(InstrumentDataset, dataset).instrument("large_needle_driver").search_limits
     readings, states = sequence.readings("left"), sequence.states("left")
     assert readings is not None
     assert states is not None
@@ -198,7 +199,7 @@ def test_two_arms_run_as_a_pair(dataset: Path, tmp_path: Path) -> None:
 def test_replay_shows_the_runs_own_samples(dataset: Path, tmp_path: Path) -> None:
     surgbench(*RUN, "--dataset", dataset, "--tracker", "cmaes", "--out", tmp_path)
     record = records(tmp_path)[0]
-    traces = replay_traces(record, Dataset.open(dataset), [0, 2])
+    traces = replay_traces(record, open_as(InstrumentDataset, dataset), [0, 2])
     assert list(traces) == [0, 2]
     assert [len(trace.states) for trace in traces.values()] == [3, 3]
     best = min(range(3), key=lambda k: traces[2].losses[k][0])
@@ -322,7 +323,7 @@ def workers(mark: str) -> set[int]:
     found = set()
     for folder in Path("/proc").glob("[0-9]*"):
         try:
-            if b"surgbench.suite.worker" not in (folder / "cmdline").read_bytes():
+            if b"surgbench.tasks.instrument.worker" not in (folder / "cmdline").read_bytes():
                 continue
             if f"MARK={mark}\0".encode() in (folder / "environ").read_bytes():
                 found.add(int(folder.name))

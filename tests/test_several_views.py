@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from support import observe, resting_state, scene_of
 
 from surgbench.camera import Camera
-from surgbench.change_of_view import ChangeOfView, angle_rates
+from surgbench.camera.change_of_view import ChangeOfView, angle_rates
 from surgbench.contract import Observation, Scene, View
 from surgbench.geometry import (
     FloatArray,

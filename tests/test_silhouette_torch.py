@@ -21,7 +21,7 @@ from support import observe, resting_state, rigid_instrument, scene_of
 
 from surgbench.camera import Camera
 from surgbench.cli import main
-from surgbench.dataset import Dataset
+from surgbench.dataset.open import open_as
 from surgbench.errors import ConfigError
 from surgbench.generators.generate import generate, plan_dataset
 from surgbench.generators.presets import load_preset
@@ -29,8 +29,10 @@ from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument, load_instrument
 from surgbench.objective import LossWeights, Objective
 from surgbench.silhouette import Reference, RowSums, SilhouetteEvaluator
-from surgbench.suite.execute import child_setup, unit_data
-from surgbench.suite.plan import Protocol, Row, complete, jobs
+from surgbench.suite.asked import Conditions, RowRequest
+from surgbench.suite.plan import complete, jobs
+from surgbench.tasks.instrument.dataset import InstrumentDataset
+from surgbench.tasks.instrument.execute import child_setup, unit_data
 
 if TYPE_CHECKING:
     from surgbench.silhouette.torch_evaluator import TorchSilhouetteEvaluator
@@ -311,8 +313,8 @@ def test_the_device_is_part_of_the_settings_only_where_it_is_no_cpu(
 ) -> None:
     """Hashes of runs on the CPU are those from before there was a choice."""
     monkeypatch.setattr("surgbench.silhouette.torch_evaluator.check_device", lambda _: None)
-    data = Dataset.open(dataset)
-    on_cpu, on_gpu = (complete(Row(tracker="cmaes"), Protocol(device=name), data) for name in ("cpu", "cuda"))
+    data = open_as(InstrumentDataset, dataset)
+    on_cpu, on_gpu = (complete(RowRequest(tracker="cmaes"), Conditions(device=name), data) for name in ("cpu", "cuda"))
     assert "device" not in on_cpu.spec()
     assert on_gpu.spec() == {**on_cpu.spec(), "device": "cuda"}
     assert on_cpu.hash != on_gpu.hash

@@ -10,14 +10,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from surgbench.conformance.worlds import DT_S, circling, feature_poses, make_trial
 from surgbench.errors import DatasetError
 from surgbench.geometry import FloatArray, inverse_transform
+from surgbench.tasks.viewpoint.conformance.worlds import DT_S, circling, feature_poses, make_trial
 from surgbench.viewpoint.camera_arm import CameraArm
 from surgbench.viewpoint.contract import ViewCommand, ViewpointObservation, ViewpointScene
-from surgbench.viewpoint.execution import JointServo
 from surgbench.viewpoint.placement import naive_pose
 from surgbench.viewpoint.scores import course_errors, depths, naive_violations, view_errors
+from surgbench.viewpoint.servo import JointServo
 from surgbench.viewpoint.simulator import Course, InvalidCommandError, Simulation, make_scene
 from surgbench.viewpoint.trial import Trial
 

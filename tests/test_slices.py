@@ -11,17 +11,21 @@ import numpy as np
 import pytest
 from commandline import RUN, records, surgbench
 
-from surgbench.dataset import Dataset
-from surgbench.dataset.import_masks import import_masks
+from surgbench.dataset.open import open_as
 from surgbench.errors import ConfigError
+from surgbench.exchange.masks import import_masks
 from surgbench.generators.generate import generate, plan_dataset
 from surgbench.generators.presets import load_preset
 from surgbench.registry import find
 from surgbench.report.render import markdown, table
-from surgbench.report.rows import Row as LeaderboardRow
+from surgbench.report.row import Row as LeaderboardRow
 from surgbench.report.rows import read_rows
-from surgbench.suite.plan import Protocol, Row, complete, jobs, spread
-from surgbench.suite.replay import replay_traces
+from surgbench.suite.asked import Conditions
+from surgbench.suite.plan import complete, jobs
+from surgbench.suite.slices import spread
+from surgbench.tasks.instrument.asked import InstrumentRow
+from surgbench.tasks.instrument.dataset import InstrumentDataset
+from surgbench.tasks.instrument.replay import replay_traces
 
 STRANGERS = Path(__file__).with_name("strangers.py")
 STILL = f"{STRANGERS}:Still"
@@ -82,9 +86,10 @@ def test_a_slice_of_sequences_is_a_part_of_the_whole_run(
 
 
 def test_a_limit_that_cuts_nothing_changes_no_hash(dataset: Path) -> None:
-    data = Dataset.open(dataset)
+    data = open_as(InstrumentDataset, dataset)
     whole, uncut, cut = (
-        complete(Row(tracker="cmaes", frames=frames), Protocol(), data) for frames in (None, FRAMES, FRAMES - 1)
+        complete(InstrumentRow(tracker="cmaes", frames=frames), Conditions(), data)
+        for frames in (None, FRAMES, FRAMES - 1)
     )
     assert "frames_limit" not in whole.spec()
     assert uncut.spec() == whole.spec()
@@ -107,7 +112,7 @@ def test_rows_of_a_suite_have_slices_of_their_own(dataset: Path, tmp_path: Path)
 def test_a_slice_is_replayed_to_its_end(dataset: Path, tmp_path: Path) -> None:
     surgbench(*RUN, "--dataset", dataset, "--tracker", "cmaes", "--frames", 2, "--sequences", 1, "--out", tmp_path)
     (record,) = records(tmp_path)
-    assert list(replay_traces(record, Dataset.open(dataset), [1, 3])) == [1]
+    assert list(replay_traces(record, open_as(InstrumentDataset, dataset), [1, 3])) == [1]
 
 
 def test_a_small_share_is_not_shown_as_nothing(dataset: Path, tmp_path: Path) -> None:
@@ -123,7 +128,7 @@ def test_the_truth_starts_every_frame(dataset: Path, tmp_path: Path) -> None:
     """The still tracker returns its start: with this filter it makes no error, wherever the first start is."""
     surgbench(*RUN, "--dataset", dataset, "--tracker", STILL, "--filter", "truth", "--sequences", 1, "--out", tmp_path)
     for record in records(tmp_path):
-        states = Dataset.open(dataset).sequence("000").states(record["spec"]["arms"][0])
+        states = open_as(InstrumentDataset, dataset).sequence("000").states(record["spec"]["arms"][0])
         assert states is not None
         np.testing.assert_array_equal(record["frames"]["state"], states)
         assert record["floor"]
@@ -151,7 +156,7 @@ def test_a_run_with_the_truth_can_be_replayed(dataset: Path, tmp_path: Path) -> 
         *RUN, "--dataset", dataset, "--tracker", "cmaes", "--filter", "truth", "--sequences", 1, "--out", tmp_path
     )
     (record,) = records(tmp_path)
-    assert list(replay_traces(record, Dataset.open(dataset), [2])) == [2]
+    assert list(replay_traces(record, open_as(InstrumentDataset, dataset), [2])) == [2]
 
 
 def test_only_a_filter_that_declares_it_is_given_the_truth(dataset: Path, tmp_path: Path) -> None:

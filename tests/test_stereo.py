@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from surgbench.camera import Camera
 from surgbench.config import locate
 from surgbench.geometry import FloatArray, inverse_transform, is_rigid, rigid_transform, rotation_from_vector
-from surgbench.viewpoint.calibration import (
+from surgbench.viewpoint.optics.calibration import (
     CalibrationError,
     board_poses,
     calibrate,
@@ -20,9 +20,9 @@ from surgbench.viewpoint.calibration import (
     find_corners,
     photograph_board,
 )
-from surgbench.viewpoint.centroids import ERRORS, Spread, centroid_table, eye_errors, pool, spread, visibility
-from surgbench.viewpoint.grasp_object import Checkerboard
-from surgbench.viewpoint.stereo import AUTOCAM_STEREO, Mount
+from surgbench.viewpoint.optics.centroids import ERRORS, Spread, centroid_table, eye_errors, pool, spread, visibility
+from surgbench.viewpoint.optics.grasp_object import Checkerboard
+from surgbench.viewpoint.optics.stereo import AUTOCAM_STEREO, Mount
 
 LEFT, RIGHT = AUTOCAM_STEREO.left, AUTOCAM_STEREO.right
 MIDDLE = np.array([256.0, 192.0])

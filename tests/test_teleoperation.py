@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from surgbench.camera import Camera
 from surgbench.geometry import FloatArray, inverse_transform, is_rigid, rigid_transform, rotation_from_vector
-from surgbench.viewpoint.teleoperation import Teleoperation, TeleoperationError, TeleoperationSettings
+from surgbench.viewpoint.optics.teleoperation import Teleoperation, TeleoperationError, TeleoperationSettings
 
 CAMERA = Camera(width=512, height=384, fx=387.365, fy=385.763, cx=247.653, cy=187.991)
 RIGHT, DOWN, FORWARD = np.eye(3)

@@ -15,8 +15,8 @@ from surgbench.generators.render import MaskRenderer
 from surgbench.generators.tip_masks import Painter, TipMasks, TipMaskSettings
 from surgbench.geometry import FloatArray
 from surgbench.instrument import load_instrument
-from surgbench.keypoint_accuracy import accuracy, outcome, pair_errors
-from surgbench.labelled import LabelledMask
+from surgbench.keypoints.accuracy import accuracy, outcome, pair_errors
+from surgbench.keypoints.labelled import LabelledMask
 
 CLEAN = TipMaskSettings(cameras=(PAPER_CAMERA,), variants=1, corruption={"none": 1.0})
 SEEN = resting_state()

@@ -3,7 +3,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from surgbench.dataset.format import ARMS
 from surgbench.errors import ConfigError
 from surgbench.generators.place import Place, clearance_m
 from surgbench.generators.presets import Preset, Workspace, load_preset
@@ -12,6 +11,7 @@ from surgbench.geometry import FloatArray, look_at_rotation, wrap_angle
 from surgbench.instrument import Instrument, load_instrument
 from surgbench.randomness import generator
 from surgbench.state import ALPHA, ANGLES, BETA, GAMMA, JOINTS, POSITION
+from surgbench.tasks.instrument.format import ARMS
 
 FRAMES = 200
 SEEDS = range(2)

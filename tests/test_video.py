@@ -18,14 +18,15 @@ from typer.testing import CliRunner
 from surgbench.camera import Camera
 from surgbench.cli.video import video
 from surgbench.contract import Trace
-from surgbench.dataset import Dataset
-from surgbench.dataset.format import Manifest, SequenceEntry, observations_path, observed_path
+from surgbench.dataset.manifest import observations_path
 from surgbench.dataset.masks import encode_image, encode_mask
+from surgbench.dataset.open import open_as
 from surgbench.dataset.tables import encode_table
 from surgbench.errors import DatasetError, NotFoundError, SurgbenchError
 from surgbench.files import sha256_file
 from surgbench.instrument import Instrument, load_instrument, save_instrument
 from surgbench.instrument.spec import LinkPoint
+from surgbench.records.reader import read_records_of
 from surgbench.report.drawing import (
     ESTIMATE_COLOURS,
     MASK_GREY,
@@ -39,19 +40,14 @@ from surgbench.report.drawing import (
     strip,
     text_size,
 )
-from surgbench.report.records import Record, read_records
-from surgbench.report.skeletons import BEST_COLOUR, draw_samples, project_bones
-from surgbench.report.video import (
-    Scenery,
-    VideoOptions,
-    compose_frame,
-    contact_sheet,
-    draw,
-    make_shots,
-    plan,
-    spread_frames,
-    write_video,
-)
+from surgbench.report.movie import spread_frames, write_video
+from surgbench.report.video_options import VideoOptions
+from surgbench.tasks.instrument.dataset import InstrumentDataset
+from surgbench.tasks.instrument.format import InstrumentManifest, SequenceEntry, observed_path
+from surgbench.tasks.instrument.records import InstrumentRecord
+from surgbench.tasks.instrument.scenery import Scenery
+from surgbench.tasks.instrument.skeletons import BEST_COLOUR, draw_samples, project_bones
+from surgbench.tasks.instrument.video import compose_frame, contact_sheet, draw, make_shots, plan
 
 FRAMES = 3
 CUBE_M = 0.02
@@ -63,7 +59,9 @@ def cube_state(u_px: float) -> list[float]:
     return [0.0, 0.0, 0.0, (u_px - CAMERA.cx) / CAMERA.fx * 0.1, 0.0, 0.1 + CUBE_M / 2, 0.0, 0.0, 0.0]
 
 
-def make_dataset(root: Path, image: Picture | None = None, name: str = "cubes", bones: bool = False) -> Dataset:
+def make_dataset(
+    root: Path, image: Picture | None = None, name: str = "cubes", bones: bool = False
+) -> InstrumentDataset:
     """Three frames in which a cube's mask stands at columns 50, 51 and 52."""
     cube = rigid_instrument(trimesh.creation.box((CUBE_M,) * 3))
     if bones:
@@ -89,7 +87,7 @@ def make_dataset(root: Path, image: Picture | None = None, name: str = "cubes", 
     )
     paths = [path for path in root.rglob("*") if path.is_file()]
     files = {str(path.relative_to(root)): {"bytes": path.stat().st_size, "sha256": sha256_file(path)} for path in paths}
-    manifest = Manifest.model_validate(
+    manifest = InstrumentManifest.model_validate(
         {
             "format": "surgbench-dataset-1",
             "name": name,
@@ -103,7 +101,7 @@ def make_dataset(root: Path, image: Picture | None = None, name: str = "cubes", 
         }
     )
     (root / "dataset.json").write_bytes(manifest.to_bytes())
-    return Dataset.open(root)
+    return open_as(InstrumentDataset, root)
 
 
 def _put(path: Path, data: bytes) -> None:
@@ -111,7 +109,7 @@ def _put(path: Path, data: bytes) -> None:
     path.write_bytes(data)
 
 
-def run_of(dataset: Dataset, row_id: str, columns: list[float], **changes: Any) -> dict[str, Any]:
+def run_of(dataset: InstrumentDataset, row_id: str, columns: list[float], **changes: Any) -> dict[str, Any]:
     """A record of a tracker that put the cube at some columns."""
     content = record(row_id, "000-left", frames=len(columns), truth=False, dataset=(dataset.name, dataset.hash))
     content["frames"]["state"] = [cube_state(column) for column in columns]
@@ -119,18 +117,18 @@ def run_of(dataset: Dataset, row_id: str, columns: list[float], **changes: Any) 
 
 
 @pytest.fixture
-def dataset(tmp_path: Path) -> Dataset:
+def dataset(tmp_path: Path) -> InstrumentDataset:
     return make_dataset(tmp_path / "data")
 
 
 @pytest.fixture
-def runs(tmp_path: Path, dataset: Dataset) -> Path:
+def runs(tmp_path: Path, dataset: InstrumentDataset) -> Path:
     stopped = run_of(dataset, "gd-10", [70.0, 70.0], status="timeout", error="no answer in 1 s")
     return write(tmp_path / "runs", run_of(dataset, "cmaes", [50.0, 51.0, 52.0]), stopped)
 
 
-def records_and_scenery(dataset: Dataset, runs: Path) -> tuple[list[Record], Scenery]:
-    records = read_records([runs])
+def records_and_scenery(dataset: InstrumentDataset, runs: Path) -> tuple[list[InstrumentRecord], Scenery]:
+    records = read_records_of(InstrumentRecord, [runs])
     return records, Scenery(dataset, records[0])
 
 
@@ -171,7 +169,7 @@ def test_contours_are_antialiased_and_scale() -> None:
 
 
 def test_panel_has_green_where_the_reference_ends_and_the_trackers_colour_where_its_estimate_ends(
-    dataset: Dataset, runs: Path
+    dataset: InstrumentDataset, runs: Path
 ) -> None:
     records, scenery = records_and_scenery(dataset, runs)
     far = make_shots(records)[1]
@@ -185,7 +183,7 @@ def test_panel_has_green_where_the_reference_ends_and_the_trackers_colour_where_
     assert not has_colour(scenery.panel(2, [far], scale=4.0), far.colour)  # it stopped after frame 1
 
 
-def test_estimate_that_agrees_lies_on_the_reference_and_leaves_its_rim(dataset: Dataset, runs: Path) -> None:
+def test_estimate_that_agrees_lies_on_the_reference_and_leaves_its_rim(dataset: InstrumentDataset, runs: Path) -> None:
     records, scenery = records_and_scenery(dataset, runs)
     panel = scenery.panel(0, make_shots(records)[:1], scale=4.0)
     assert has_colour(panel, ESTIMATE_COLOURS[0])
@@ -195,11 +193,11 @@ def test_estimate_that_agrees_lies_on_the_reference_and_leaves_its_rim(dataset: 
 def test_image_is_the_ground_where_there_is_one(tmp_path: Path, runs: Path) -> None:
     image = strip(CAMERA.width, CAMERA.height, (10, 60, 200))
     dataset = make_dataset(tmp_path / "coloured", image=image)
-    scenery = Scenery(dataset, read_records([runs])[0])
+    scenery = Scenery(dataset, read_records_of(InstrumentRecord, [runs])[0])
     assert scenery.panel(0, [], scale=1.0)[5, 5].tolist() == [10, 60, 200]
 
 
-def test_frames_are_of_one_even_size(dataset: Dataset, runs: Path) -> None:
+def test_frames_are_of_one_even_size(dataset: InstrumentDataset, runs: Path) -> None:
     records, scenery = records_and_scenery(dataset, runs)
     for overlay in (False, True):
         for count in (1, 2, 5):
@@ -210,7 +208,7 @@ def test_frames_are_of_one_even_size(dataset: Dataset, runs: Path) -> None:
             assert height % 2 == width % 2 == 0
 
 
-def test_overlay_has_all_trackers_in_one_panel(dataset: Dataset, runs: Path) -> None:
+def test_overlay_has_all_trackers_in_one_panel(dataset: InstrumentDataset, runs: Path) -> None:
     records, scenery = records_and_scenery(dataset, runs)
     shots = make_shots(records)
     beside, over = compose_frame(scenery, shots, 0), compose_frame(scenery, shots, 0, overlay=True)
@@ -220,7 +218,7 @@ def test_overlay_has_all_trackers_in_one_panel(dataset: Dataset, runs: Path) -> 
         assert has_colour(over, shot.colour)
 
 
-def test_sheet_has_a_row_per_tracker_and_a_column_per_frame(dataset: Dataset, runs: Path) -> None:
+def test_sheet_has_a_row_per_tracker_and_a_column_per_frame(dataset: InstrumentDataset, runs: Path) -> None:
     records, scenery = records_and_scenery(dataset, runs)
     one = contact_sheet(scenery, make_shots(records[:1]), [0])
     more = contact_sheet(scenery, make_shots(records), [0, 1, 2])
@@ -266,15 +264,15 @@ def test_interrupted_video_leaves_nothing(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_run_that_failed_at_once_is_drawn_without_estimate(tmp_path: Path, dataset: Dataset) -> None:
+def test_run_that_failed_at_once_is_drawn_without_estimate(tmp_path: Path, dataset: InstrumentDataset) -> None:
     content = failed(row_id="stuck", dataset=(dataset.name, dataset.hash), frames=FRAMES)
     runs = write(tmp_path / "failed", content | {"dataset_path": str(dataset.path)})
-    (job,) = plan(read_records([runs]), VideoOptions())
+    (job,) = plan(read_records_of(InstrumentRecord, [runs]), VideoOptions())
     assert [path.suffix for path in draw(job, VideoOptions(), tmp_path / "out")] == [".mp4", ".png"]
 
 
 def test_plan_chooses_units_and_rows(runs: Path) -> None:
-    records = read_records([runs])
+    records = read_records_of(InstrumentRecord, [runs])
     (job,) = plan(records, VideoOptions(rows=("gd-10",)))
     assert (job.name, [r.spec.row_id for r in job.records], job.frames) == ("000-left", ["gd-10"], FRAMES)
     with pytest.raises(NotFoundError, match="unknown row 'cmeas'; did you mean 'cmaes'"):
@@ -283,9 +281,9 @@ def test_plan_chooses_units_and_rows(runs: Path) -> None:
         plan(records, VideoOptions(units=("000-rihgt",)))
 
 
-def test_dataset_that_moved_is_found_again(runs: Path, dataset: Dataset, tmp_path: Path) -> None:
+def test_dataset_that_moved_is_found_again(runs: Path, dataset: InstrumentDataset, tmp_path: Path) -> None:
     new = dataset.path.rename(tmp_path / "elsewhere")
-    records = read_records([runs])
+    records = read_records_of(InstrumentRecord, [runs])
     with pytest.raises(DatasetError, match="--dataset PATH"):
         plan(records, VideoOptions())
     assert plan(records, VideoOptions(), new)[0].dataset.path == new
@@ -297,14 +295,14 @@ def test_dataset_that_moved_is_found_again(runs: Path, dataset: Dataset, tmp_pat
 def test_units_of_two_datasets_do_not_overwrite_each_other(tmp_path: Path, runs: Path) -> None:
     other = make_dataset(tmp_path / "other", name="others")
     more = write(tmp_path / "more", run_of(other, "cmaes", [50.0]))
-    jobs = plan(read_records([runs, more]), VideoOptions())
+    jobs = plan(read_records_of(InstrumentRecord, [runs, more]), VideoOptions())
     assert [job.name for job in jobs] == ["cubes-000-left", "others-000-left"]
 
 
-def test_rows_of_one_name_get_their_variant(dataset: Dataset, tmp_path: Path) -> None:
+def test_rows_of_one_name_get_their_variant(dataset: InstrumentDataset, tmp_path: Path) -> None:
     second = {"settings_hash": "1" * 16, "spec_hash": "1" * 16, "variant": "readings"}
     runs = write(tmp_path / "runs", run_of(dataset, "cmaes", [50.0]), run_of(dataset, "cmaes", [50.0], **second))
-    assert {shot.title for shot in make_shots(read_records([runs]))} == {
+    assert {shot.title for shot in make_shots(read_records_of(InstrumentRecord, [runs]))} == {
         "cmaes (none/random kalman)",
         "cmaes (readings)",
     }
@@ -381,14 +379,14 @@ def replay(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     """Stands for the suite's replaying; holds what it was asked for."""
     asked: dict[str, Any] = {"empty": False}
 
-    def replay_traces(content: dict[str, Any], dataset: Dataset, frames: list[int]) -> dict[int, Trace]:
+    def replay_traces(content: dict[str, Any], dataset: InstrumentDataset, frames: list[int]) -> dict[int, Trace]:
         asked[content["spec"]["row_id"]] = (dataset.hash, frames)
         states = [] if asked["empty"] else [np.array([cube_state(50.0), cube_state(55.0)])] * 3
         return {frame: Trace(states, [np.zeros(2)] * len(states)) for frame in frames}
 
-    module = ModuleType("surgbench.suite.replay")
+    module = ModuleType("surgbench.tasks.instrument.replay")
     module.replay_traces = replay_traces  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, "surgbench.suite.replay", module)
+    monkeypatch.setitem(sys.modules, "surgbench.tasks.instrument.replay", module)
     return asked
 
 
@@ -396,7 +394,7 @@ def test_samples_are_replayed_for_frames_with_estimates(tmp_path: Path, replay: 
     dataset = make_dataset(tmp_path / "bones", bones=True)
     runs = write(tmp_path / "r", run_of(dataset, "cmaes", [50.0] * 3), run_of(dataset, "gd-10", [50.0] * 2))
     options = VideoOptions(samples=True)
-    (job,) = plan(read_records([runs]), options)
+    (job,) = plan(read_records_of(InstrumentRecord, [runs]), options)
     written = draw(job, options, tmp_path / "out")
     assert [path.name for path in written] == ["000-left.mp4", "000-left.png", "000-left-samples.png"]
     assert replay["cmaes"] == (dataset.hash, [0, 1, 2])
@@ -411,6 +409,6 @@ def test_samples_are_replayed_for_frames_with_estimates(tmp_path: Path, replay: 
 
 def test_samples_need_a_skeleton(tmp_path: Path, runs: Path) -> None:
     options = VideoOptions(samples=True)
-    (job, *_) = plan(read_records([runs]), options)
+    (job, *_) = plan(read_records_of(InstrumentRecord, [runs]), options)
     with pytest.raises(SurgbenchError, match="instrument 'rigid' has no 'skeleton'"):
         draw(job, options, tmp_path / "out")

@@ -11,10 +11,10 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.optimize import Bounds, minimize
 
-from surgbench.conformance.worlds import ZONE_M, circling, feature_poses, make_trial, random_trial
 from surgbench.errors import ConfigError
 from surgbench.geometry import FloatArray, inverse_transform, is_rigid, rigid_transform, rotation_from_vector
 from surgbench.registry import create, find
+from surgbench.tasks.viewpoint.conformance.worlds import ZONE_M, circling, feature_poses, make_trial, random_trial
 from surgbench.trackers.hierarchical.constrained_ik import ConstrainedIK, SolverConfig, WeightsConfig
 from surgbench.trackers.hierarchical.means import PoseMean
 from surgbench.trackers.hierarchical.poses import look_from, naive

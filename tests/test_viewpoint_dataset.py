@@ -13,9 +13,9 @@ import pytest
 from commandline import surgbench
 
 from surgbench.camera import Camera
-from surgbench.dataset import Dataset, tables
-from surgbench.dataset.format import MANIFEST_NAME, FileEntry, observations_path
-from surgbench.dataset.open import open_dataset
+from surgbench.dataset import tables
+from surgbench.dataset.manifest import MANIFEST_NAME, FileEntry, observations_path
+from surgbench.dataset.open import open_as, open_dataset
 from surgbench.dataset.storage import file_entry
 from surgbench.dataset.validate import validate
 from surgbench.errors import DatasetError
@@ -25,8 +25,9 @@ from surgbench.generators.resumable import generate
 from surgbench.generators.wire_chaser.job import WirePlan
 from surgbench.generators.wire_chaser.presets import Measurement, Rules, WireChaser
 from surgbench.generators.wire_chaser.trial import make_trial
-from surgbench.viewpoint.dataset import ViewpointDataset
-from surgbench.viewpoint.format import feature_path, scene_path
+from surgbench.tasks.instrument.dataset import InstrumentDataset
+from surgbench.tasks.viewpoint.dataset import ViewpointDataset
+from surgbench.tasks.viewpoint.format import feature_path, scene_path
 from surgbench.viewpoint.simulator import make_scene
 
 PRESET = WireChaser(
@@ -80,7 +81,7 @@ def change_table(folder: Path, file: str, change: Callable[[dict[str, Any]], Non
 
 
 def test_what_was_made_is_read(made: Path) -> None:
-    dataset = ViewpointDataset.open(made)
+    dataset = open_as(ViewpointDataset, made)
     assert (dataset.name, dataset.task, [trial.id for trial in dataset.trials]) == (
         "small",
         "viewpoint",
@@ -109,7 +110,7 @@ def test_what_was_made_is_read(made: Path) -> None:
 
 
 def test_the_rules_of_a_trial_reach_the_controller(made: Path) -> None:
-    scene = make_scene(ViewpointDataset.open(made).trial("000"))
+    scene = make_scene(open_as(ViewpointDataset, made).trial("000"))
     assert scene.distance_m == 0.12
     assert scene.workspace.floor_m == 0.03
     assert scene.workspace.proximity_m == 0.08
@@ -119,14 +120,14 @@ def test_each_reader_reads_its_own_task_and_one_opens_both(made: Path, tmp_path:
     masks = tmp_path / "masks"
     generate(plan_dataset(Preset(name="masks", pairs=1, frames=2, camera=small_camera)), masks)
     with pytest.raises(DatasetError, match=r"small: a dataset of the viewpoint task; expected one of the instrument"):
-        Dataset.open(made)
+        open_as(InstrumentDataset, made)
     with pytest.raises(DatasetError, match=r"masks: a dataset of the instrument task; expected one of the viewpoint"):
-        ViewpointDataset.open(masks)
-    for path, task, own in ((made, "viewpoint", ViewpointDataset), (masks, "instrument", Dataset)):
+        open_as(ViewpointDataset, masks)
+    for path, task, own in ((made, "viewpoint", ViewpointDataset), (masks, "instrument", InstrumentDataset)):
         opened = open_dataset(path)
         assert isinstance(opened, own)
         assert opened.task == opened.manifest.task == task
-        assert opened.hash == own.open(path).hash
+        assert opened.hash == open_as(own, path).hash
 
 
 def test_an_unknown_task_is_one_line(copy: Path) -> None:
@@ -150,7 +151,7 @@ def test_validate_as_a_user_types_it(made: Path, copy: Path, capsys: pytest.Capt
 
 def test_unknown_trials_are_named(made: Path) -> None:
     with pytest.raises(DatasetError, match="unknown trial '002'; did you mean '00"):
-        ViewpointDataset.open(made).trial("002")
+        open_as(ViewpointDataset, made).trial("002")
 
 
 @pytest.mark.parametrize("file", [observations_path("000"), feature_path("000"), scene_path("000")])
@@ -163,18 +164,18 @@ def test_damaged_files_are_named_by_reader_and_validator(copy: Path, file: str) 
         else:
             path.write_bytes(data)
         with pytest.raises(DatasetError) as caught:
-            ViewpointDataset.open(copy).trial("000")
+            open_as(ViewpointDataset, copy).trial("000")
         assert str(caught.value).startswith(f"{path}: ")
         assert what in str(caught.value)
         assert validate(copy) == [str(caught.value)]
-        ViewpointDataset.open(copy).trial("001")
+        open_as(ViewpointDataset, copy).trial("001")
 
 
 def problem_of(folder: Path) -> str:
     """The one problem that the validator finds and the reader raises."""
     problems = validate(folder)
     with pytest.raises(DatasetError) as caught:
-        ViewpointDataset.open(folder).trial("000")
+        open_as(ViewpointDataset, folder).trial("000")
     assert problems == [str(caught.value)]
     assert "\n" not in problems[0]
     return problems[0]
@@ -220,7 +221,7 @@ def test_impossible_numbers_name_trial_and_row(copy: Path, file: str, column: st
 def test_a_table_of_another_length_is_said(copy: Path) -> None:
     change_manifest(copy, lambda manifest: manifest["trials"][0].update(samples=201))
     with pytest.raises(DatasetError, match=r"has 200 rows; expected one per frame, 201"):
-        ViewpointDataset.open(copy).trial("000")
+        open_as(ViewpointDataset, copy).trial("000")
     assert len(validate(copy)) == 2  # observations and truth
 
 
@@ -254,7 +255,7 @@ def test_a_zone_that_spans_nothing_and_a_start_beyond_the_limits_are_said(copy: 
 def test_a_wrong_manifest_is_one_line_that_names_the_key(copy: Path, key: str, value: Any, message: str) -> None:
     change_manifest(copy, lambda manifest: manifest["trials"][0].update({key: value}))
     with pytest.raises(DatasetError) as caught:
-        ViewpointDataset.open(copy)
+        open_as(ViewpointDataset, copy)
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)
 
@@ -275,4 +276,4 @@ def test_recordings_have_no_truth(copy: Path) -> None:
     change_manifest(copy, strip)
     shutil.rmtree(copy / "truth")
     assert validate(copy) == []
-    assert ViewpointDataset.open(copy).trial("000").truth is None
+    assert open_as(ViewpointDataset, copy).trial("000").truth is None

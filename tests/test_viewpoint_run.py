@@ -15,8 +15,8 @@ from commandline import records, surgbench
 
 from surgbench.dataset.open import open_dataset
 from surgbench.report.rows import read_rows
-from surgbench.viewpoint.dataset import ViewpointDataset
-from surgbench.viewpoint.rows import VIEWPOINT_COLUMNS
+from surgbench.tasks.viewpoint.dataset import ViewpointDataset
+from surgbench.tasks.viewpoint.rows import VIEWPOINT_COLUMNS
 from surgbench.viewpoint.scores import NO_GO_TOLERANCE_M, naive_violations
 from surgbench.viewpoint.simulator import make_scene
 

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from commandline import surgbench
 
+from surgbench.dataset.open import open_as
 from surgbench.dataset.validate import validate
 from surgbench.errors import ConfigError, DatasetError
 from surgbench.generators.dispatch import load_wire_chaser, plan_preset
@@ -28,8 +29,8 @@ from surgbench.generators.wire_chaser.trial import make_trial, measure
 from surgbench.generators.wire_chaser.wire import WireShape, tool_axes
 from surgbench.geometry import FloatArray, inverse_transform, is_rigid, rotation_angle, rotation_vector
 from surgbench.randomness import generator
+from surgbench.tasks.viewpoint.dataset import ViewpointDataset
 from surgbench.viewpoint.camera_arm import CameraArm
-from surgbench.viewpoint.dataset import ViewpointDataset
 from surgbench.viewpoint.motion import describe_motion, extents_m
 from surgbench.viewpoint.placement import CONSTRAINTS, naive_pose, violations
 from surgbench.viewpoint.registration import register, residual_m
@@ -404,7 +405,7 @@ def test_killed_and_started_again_as_a_user_does(tmp_path: Path, capsys: pytest.
     process.wait()
     assert not (out / "dataset.json").exists()
     with pytest.raises(DatasetError, match="not complete; run the same"):
-        ViewpointDataset.open(out)
+        open_as(ViewpointDataset, out)
     surgbench("generate", tmp_path / "preset.yaml", "--out", out, "--jobs", 1)
     assert "of its files are there already" in capsys.readouterr().err
     surgbench("validate", out)

@@ -9,8 +9,8 @@ import numpy as np
 from surgbench.contract import Scene
 from surgbench.geometry import FloatArray
 from surgbench.objective import Objective
+from surgbench.search.descent import Descent, DescentConfig, DescentTracker
 from surgbench.trackers.optimisers.adam import Adam
-from surgbench.tracking.descent import Descent, DescentConfig, DescentTracker
 
 
 class AdamTracker(DescentTracker):

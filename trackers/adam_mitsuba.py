@@ -11,9 +11,9 @@ from surgbench.errors import SurgbenchError
 from surgbench.geometry import FloatArray
 from surgbench.mitsuba_backends import cuda_problem, llvm_problem
 from surgbench.objective import Objective
+from surgbench.search.descent import Descent, DescentConfig, DescentTracker
 from surgbench.trackers.optimisers.adam import Adam
 from surgbench.trackers.optimisers.projective import ProjectiveObjective
-from surgbench.tracking.descent import Descent, DescentConfig, DescentTracker
 
 
 class AdamMitsubaTracker(DescentTracker):

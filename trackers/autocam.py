@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import Annotated, ClassVar
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
+from surgbench.config import NotNegative, Section
 from surgbench.geometry import FloatArray
 from surgbench.trackers.hierarchical.constrained_ik import ConstrainedIK, SolverConfig, WeightsConfig
 from surgbench.trackers.hierarchical.poses import clip, is_usable
@@ -14,14 +15,11 @@ from surgbench.trackers.hierarchical.steps import JOINT_LIMIT, NAMES, PROXIMITY,
 from surgbench.trackers.hierarchical.world import World
 from surgbench.viewpoint.contract import ViewCommand, ViewpointObservation, ViewpointScene, ViewpointTracker
 
-NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Share = Annotated[float, Field(gt=0, le=1)]
 
 
-class AutocamConfig(BaseModel):
+class AutocamConfig(Section):
     """Options; the defaults are the published settings."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     interpolate_beyond_m: Annotated[
         NotNegative, Field(description="a place farther than this from the present one is gone to in part")

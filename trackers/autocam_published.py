@@ -10,8 +10,9 @@ import time
 from typing import Annotated, ClassVar
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
+from surgbench.config import NotNegative, Section
 from surgbench.geometry import FloatArray
 from surgbench.trackers.hierarchical.constrained_ik import ConstrainedIK, SolverConfig, WeightsConfig
 from surgbench.trackers.hierarchical.means import PoseMean
@@ -21,17 +22,14 @@ from surgbench.trackers.hierarchical.world import World
 from surgbench.viewpoint.camera_arm import YAW
 from surgbench.viewpoint.contract import ViewCommand, ViewpointObservation, ViewpointScene, ViewpointTracker
 
-NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Share = Annotated[float, Field(gt=0, le=1)]
 Count = Annotated[int, Field(ge=1, le=100_000)]
 # The yaw joint of the code's own robot file, beyond what the robot's can do (1.588).
 PLACEHOLDER_YAW_RAD = 4.7124
 
 
-class PublishedConfig(BaseModel):
+class PublishedConfig(Section):
     """Options; the defaults are what the published code has."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     feature_window: Annotated[Count, Field(description="measured poses of the feature averaged")] = 5
     position_window: Annotated[Count, Field(description="commanded positions averaged (at 79 Hz: 1.8 s)")] = 140

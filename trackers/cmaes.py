@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from surgbench.geometry import FloatArray
+from surgbench.search.sampling import SamplingConfig, SamplingTracker
 from surgbench.state import STATE_SIZE
 from surgbench.trackers.optimisers.cma import CMA
 from surgbench.trackers.optimisers.cma_settings import published_settings
 from surgbench.trackers.optimisers.normals import SobolNormals
-from surgbench.tracking.sampling import SamplingConfig, SamplingTracker
 
 
 class CmaesTracker(SamplingTracker):

@@ -6,20 +6,16 @@ import math
 from typing import Annotated, ClassVar
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
+from surgbench.config import NotNegative, Positive, Section
 from surgbench.geometry import FloatArray, inverse_transform
 from surgbench.trackers.viewing.advance import FITTED, advance
 from surgbench.viewpoint.contract import ViewCommand, ViewpointObservation, ViewpointScene, ViewpointTracker
 
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
-
-class GazeConfig(BaseModel):
+class GazeConfig(Section):
     """Options."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     filter_gain: Annotated[float, Field(gt=0, le=1, description="alpha of the filter of the feature's motion")] = 0.7
     normal_gain: Annotated[float, Field(gt=0, le=1, description="the same for the feature's normal")] = 0.5

@@ -14,8 +14,9 @@ from dataclasses import dataclass, replace
 from typing import Annotated, ClassVar
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
+from surgbench.config import NotNegative, Positive, Section
 from surgbench.contract import Estimate, InstrumentTracker, Observation, Scene, Trace
 from surgbench.geometry import FloatArray
 from surgbench.objective import LossWeights, Objective
@@ -27,9 +28,6 @@ from surgbench.trackers.registration.belief import MotionBelief
 from surgbench.trackers.registration.edges import explained_edge
 from surgbench.trackers.registration.fit import ContourFit, Fit, FitConfig, Prior
 from surgbench.trackers.registration.proposals import best_of_each, jump_cost, propose, shift_to_mask
-
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
 # Per second (squared): how fast hands move such an instrument.
 ACCELERATION = np.array([4.0, 12.0, 4.0, 0.4, 0.4, 0.4, 8.0, 8.0, 6.0])
@@ -70,10 +68,8 @@ class HybridTracker(InstrumentTracker):
     name: ClassVar[str] = "hybrid"
     summary: ClassVar[str] = "ours: Gauss-Newton on the contour, evolution where it leaves edges unexplained"
 
-    class Config(BaseModel):
+    class Config(Section):
         """Options."""
-
-        model_config = ConfigDict(frozen=True, extra="forbid")
 
         fit: FitConfig = FitConfig()
         acceleration: Annotated[Positive, Field(description="factor on the belief's accelerations")] = 1.0

@@ -10,22 +10,18 @@ from __future__ import annotations
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
+from surgbench.config import NotNegative, Positive, Section
 from surgbench.geometry import FloatArray
 from surgbench.trackers.hierarchical.poses import NEAREST_M, is_usable, shaft_joints
 from surgbench.trackers.hierarchical.world import World
 from surgbench.viewpoint.camera_arm import INSERTION, ROLL
 from surgbench.viewpoint.contract import ViewCommand, ViewpointObservation, ViewpointScene, ViewpointTracker
 
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
-
-class MidpointConfig(BaseModel):
+class MidpointConfig(Section):
     """Options; the zones' defaults are the published ones."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     insertion: Annotated[
         Literal["distance", "zones"],

@@ -20,8 +20,9 @@ from __future__ import annotations
 from typing import Annotated, ClassVar
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
+from surgbench.config import NotNegative, Positive, Section
 from surgbench.contract import Estimate, InstrumentTracker, Observation, Scene, Trace, View
 from surgbench.errors import ConfigError
 from surgbench.geometry import (
@@ -40,17 +41,12 @@ from surgbench.trackers.observations.likelihood import association_likelihood, l
 from surgbench.trackers.observations.particles import ParticleCloud
 from surgbench.trackers.observations.shaft import cylinder_edges, shaft_of
 
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-
 # The published noise of the motion model is that of a frame at this rate.
 PUBLISHED_RATE_HZ = 30.0
 
 
-class ParticleFilterConfig(BaseModel):
+class ParticleFilterConfig(Section):
     """Options; where the publication or its code gives a value, it is the default."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     particles: Annotated[int, Field(ge=2, description="particles of each arm (1000 in Hu et al.'s comparison)")] = 200
     init_position_m: Annotated[NotNegative, Field(description="spread of the first lumped errors' translation")] = 1e-3

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from surgbench.geometry import FloatArray
+from surgbench.search.sampling import SamplingConfig, SamplingTracker
 from surgbench.state import STATE_SIZE, split_arms
 from surgbench.trackers.optimisers.cma_settings import package_settings
 from surgbench.trackers.optimisers.normals import SobolNormals
-from surgbench.tracking.sampling import SamplingConfig, SamplingTracker
 
 # What stands for an infinite loss: the package warns of what is not finite, and adds two losses up.
 HUGE = 1e300

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surgbench.geometry import FloatArray
+from surgbench.search.sampling import SamplingConfig, SamplingTracker
 from surgbench.trackers.optimisers.xnes import XNES
-from surgbench.tracking.sampling import SamplingConfig, SamplingTracker
 
 
 class XnesTracker(SamplingTracker):

@@ -14,8 +14,8 @@ import numpy as np
 
 from surgbench import __version__
 from surgbench.dataset import tables
-from surgbench.dataset.format import FORMAT, FileEntry, observations_path
 from surgbench.dataset.integrity import difference
+from surgbench.dataset.manifest import FORMAT, FileEntry, observations_path
 from surgbench.dataset.storage import file_entry
 from surgbench.files import canonical_json, write_atomic
 from surgbench.generators.resumable import (
@@ -30,8 +30,8 @@ from surgbench.generators.resumable import (
 from surgbench.generators.wire_chaser.presets import WireChaser
 from surgbench.generators.wire_chaser.trial import StoppedError, draw_samples, make_trial
 from surgbench.geometry import FloatArray
-from surgbench.viewpoint.dataset import pose_columns, trial_files
-from surgbench.viewpoint.format import (
+from surgbench.tasks.viewpoint.dataset import pose_columns, trial_files
+from surgbench.tasks.viewpoint.format import (
     CONTACT,
     SceneTruth,
     TouchEntry,
@@ -50,7 +50,7 @@ BYTES_PER_TRIAL = 120_000
 
 @dataclass(frozen=True)
 class WirePlan:
-    """What a generation will make; a :class:`surgbench.generators.resumable.Job`.
+    """What a generation will make; a :class:`surgbench.generation.GenerationPlan`.
 
     Attributes:
         preset: Effective preset.

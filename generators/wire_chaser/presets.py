@@ -7,8 +7,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from surgbench.config import Section
-from surgbench.generators.sections import Finite, Fraction, NotNegative, Positive
+from surgbench.config import Finite, NotNegative, Positive, Section
+from surgbench.generators.sections import Fraction
 from surgbench.viewpoint.placement import DISTANCE_M
 from surgbench.viewpoint.workspace import FLOOR_M, PREFERRED_SIDE, PROXIMITY_M
 

@@ -15,8 +15,9 @@ from surgbench import __version__
 from surgbench.cli.bench import bench_app
 from surgbench.cli.check import tracker
 from surgbench.cli.generate import generate
-from surgbench.cli.import_ import masks
+from surgbench.cli.import_ import import_app
 from surgbench.cli.list_ import list_names
+from surgbench.cli.options import field_options, with_options
 from surgbench.cli.report import report
 from surgbench.cli.reproduce import reproduce
 from surgbench.cli.run import run
@@ -24,6 +25,8 @@ from surgbench.cli.train import train_app
 from surgbench.cli.validate import validate
 from surgbench.cli.video import video
 from surgbench.errors import SurgbenchError
+from surgbench.suite.asked import RowRequest
+from surgbench.task import all_tasks
 
 INTERRUPTED = 130  # typer's own exit code for Ctrl-C, and the shell's
 
@@ -37,7 +40,6 @@ app = typer.Typer(
     epilog="Example: surgbench generate mini --out data/mini && surgbench run --dataset data/mini --tracker cmaes",
 )
 check_app = typer.Typer(no_args_is_help=True, help="See whether a plug-in keeps the rules.", rich_markup_mode=None)
-import_app = typer.Typer(no_args_is_help=True, help="Turn recordings into datasets.", rich_markup_mode=None)
 
 
 def _version(asked: bool) -> None:
@@ -59,10 +61,11 @@ def _main(
 
 
 app.command("generate")(generate)
-import_app.command("masks")(masks)
 app.add_typer(import_app, name="import")
 app.command("validate")(validate)
-app.command("run")(run)
+app.command("run")(
+    with_options(run, field_options({task.row: f"({task.name}) " for task in all_tasks()}, RowRequest), "asked")
+)
 app.command("report")(report)
 app.command("reproduce")(reproduce)
 app.command("video")(video)
@@ -78,14 +81,6 @@ def _check() -> None:
     """See whether a plug-in keeps the rules.
 
     Example: surgbench check tracker cmaes
-    """
-
-
-@import_app.callback()
-def _import() -> None:
-    """Turn recordings into datasets.
-
-    Example: surgbench import masks recordings/suturing --out data/suturing
     """
 
 

@@ -46,9 +46,9 @@ def silhouettes(
     """
     from dataclasses import replace
 
-    from surgbench.bench.peers import PEERS
-    from surgbench.bench.silhouettes import QUICK, Effort, compare
-    from surgbench.bench.table import print_comparison
+    from surgbench.comparison.peers import PEERS
+    from surgbench.comparison.silhouettes import QUICK, Effort, compare
+    from surgbench.comparison.table import print_comparison
 
     effort = QUICK if quick else Effort()
     if rounds is not None:
@@ -93,8 +93,8 @@ def keypoints(
     """
     from rich.console import Console
 
-    from surgbench.bench.keypoints import groups, measure
-    from surgbench.bench.keypoints_report import print_groups, write_report
+    from surgbench.comparison.keypoints import groups, measure
+    from surgbench.comparison.keypoints_report import print_groups, write_report
     from surgbench.errors import ConfigError
     from surgbench.generators.tip_masks import HELD_OUT, TipMasks
     from surgbench.instrument import load_instrument

@@ -29,7 +29,7 @@ def tracker(
     FILE.py:Class runs that file with your rights.
     """
     from surgbench.conformance.conduct import conduct
-    from surgbench.conformance.session import Subject
+    from surgbench.conformance.subject import Subject
     from surgbench.errors import ConfigError
     from surgbench.registry import configure, find
     from surgbench.suite.suites import parse_sets

@@ -34,10 +34,11 @@ def generate(
 
     The same preset and seed give the same bytes. After an interruption the same command goes on where it stopped.
     """
+    from surgbench.generation import GenerationRequest
     from surgbench.generators.dispatch import plan_preset
     from surgbench.generators.resumable import generate as make
 
-    plan = plan_preset(preset, sequences=sequences, frames=frames, seed=seed, corruption=corruption)
+    plan = plan_preset(preset, GenerationRequest(sequences, frames, seed, corruption))
     workers = jobs or min(len(os.sched_getaffinity(0)), max(1, plan.frames // 20))
 
     def say(line: str) -> None:

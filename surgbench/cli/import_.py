@@ -1,47 +1,59 @@
-"""``surgbench import``."""
+"""``surgbench import``: a command for every importer, its options those of the importer."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperGroup
 
+from surgbench.cli.options import field_options, with_options
 from surgbench.cli.progress import progress
+from surgbench.registry import Found, create, discover
 
 
-def masks(
-    source: Annotated[
-        Path,
-        typer.Argument(
-            metavar="SRC", help="Folder with masks/*.png, camera.json; optional images/, joints.csv, tips.csv."
-        ),
-    ],
-    out: Annotated[Path, typer.Option(help="The dataset's folder: new or empty.")],
-    name: Annotated[str | None, typer.Option(help="The dataset's name; the source folder's unless told.")] = None,
-    fps: Annotated[float, typer.Option(help="Frames per second.")] = 30.0,
-    instrument: Annotated[str, typer.Option(help="Instrument: a name, or an instrument file.")] = "large_needle_driver",
-    arm: Annotated[Literal["left", "right"], typer.Option(help="Which arm the masks show.")] = "left",
-    single_images: Annotated[
-        bool, typer.Option("--single-images", help="The masks are unrelated: each becomes a sequence of one frame.")
-    ] = False,
-) -> None:
-    """Turn a recording's masks into a dataset without ground truth.
+class _Importers(TyperGroup):
+    """Importers are looked for when one is asked for: they load what they read with."""
 
-    Example: surgbench import masks recordings/suturing --out data/suturing --fps 25
+    def list_commands(self, ctx: Any) -> list[str]:
+        """Their names."""
+        return sorted(name for name, found in discover("importer").items() if found.cls is not None)
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """One of them, if it is there."""
+        if cmd_name not in self.list_commands(ctx):
+            return None
+        app = typer.Typer(rich_markup_mode=None, add_completion=False)
+        app.command(cmd_name)(_command(discover("importer")[cmd_name]))
+        return typer.main.get_command(app)
+
+
+import_app = typer.Typer(cls=_Importers, no_args_is_help=True, rich_markup_mode=None)
+
+
+@import_app.callback()
+def _import() -> None:
+    """Turn recordings into datasets.
+
+    Example: surgbench import masks recordings/suturing --out data/suturing
     """
-    from surgbench.dataset.import_masks import import_masks, read_recording
 
-    total = len(read_recording(source, single_images=single_images).numbers)
-    with progress("frames", total) as advance:
-        import_masks(
-            source,
-            out,
-            name=name,
-            fps=fps,
-            instrument=instrument,
-            arm=arm,
-            single_images=single_images,
-            progress=advance,
-        )
-    print(out)
+
+def _command(found: Found) -> Any:
+    def command(
+        options: dict[str, Any],
+        source: Annotated[Path, typer.Argument(metavar="SRC", help="The recording.")],
+        out: Annotated[Path, typer.Option(help="The dataset's folder: new or empty.")],
+    ) -> None:
+        importer = create(found, options)
+        with progress("frames", importer.frames(source)) as advance:
+            importer.run(source, out, advance)
+        print(out)
+
+    model = getattr(found.cls, "Config", None)
+    doc = (
+        f"Make a dataset of a recording: {getattr(found.cls, 'summary', '')}.\n\n"
+        f"Example: surgbench import {found.name} recordings/suturing --out data/suturing"
+    )
+    return with_options(command, field_options({} if model is None else {model: ""}), "options", doc)

@@ -2,41 +2,37 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 
+from surgbench.kinds import KINDS
+
+FILES = ("presets", "suites", "tables", "training", "instruments")
+
 
 def list_names(
-    what: Annotated[
-        Literal[
-            "trackers", "initialisers", "filters", "keypoints", "presets", "suites", "tables", "training", "instruments"
-        ],
-        typer.Argument(help="What to list."),
-    ],
+    what: Annotated[str, typer.Argument(metavar=f"{'|'.join([*(k.plural for k in KINDS.values()), *FILES])}")],
 ) -> None:
     """List what there is by name, with the options of each plug-in and their defaults.
 
     Example: surgbench list trackers
     """
-    from surgbench.registry import Kind, describe, discover
-
-    kinds: dict[str, Kind] = {
-        "trackers": "tracker",
-        "initialisers": "initialiser",
-        "filters": "filter",
-        "keypoints": "keypoints",
-    }
-    if what in kinds:
-        for name, found in sorted(discover(kinds[what]).items()):
-            mark = "" if found.task == "instrument" else f"[{found.task}] "
-            print(f"{name:18} {mark}{found.problem or getattr(found.cls, 'summary', '')}")
-            if found.unavailable is not None:
-                print(f"  not available here: {found.unavailable}")
-            for option, default, meaning in describe(found):
-                print(f"  {name}.{option} = {default}" + (f"   {meaning}" if meaning else ""))
-        return
     from surgbench.config import packaged_names
+    from surgbench.errors import NotFoundError, unknown_name
+    from surgbench.registry import default_task_name, describe, discover
 
-    for name in packaged_names(what):
-        print(name)
+    kind = next((kind.name for kind in KINDS.values() if kind.plural == what), None)
+    if kind is None:
+        if what not in FILES:
+            raise NotFoundError(unknown_name("list", what, [*(kind.plural for kind in KINDS.values()), *FILES]))
+        for name in packaged_names(what):
+            print(name)
+        return
+    for name, found in sorted(discover(kind).items()):
+        mark = f"[{found.task}] " if kind != "task" and found.task != default_task_name() else ""
+        print(f"{name:18} {mark}{found.problem or getattr(found.cls, 'summary', '')}")
+        if found.unavailable is not None:
+            print(f"  not available here: {found.unavailable}")
+        for option, default, meaning in describe(found):
+            print(f"  {name}.{option} = {default}" + (f"   {meaning}" if meaning else ""))

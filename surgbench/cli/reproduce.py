@@ -52,11 +52,11 @@ def reproduce(
     from rich.console import Console
 
     from surgbench.errors import ConfigError
+    from surgbench.reproduce.load import load_table
     from surgbench.reproduce.make import render as render_page
     from surgbench.reproduce.make import reproduce as make_table
     from surgbench.reproduce.make import table_folder
     from surgbench.reproduce.screen import print_table
-    from surgbench.reproduce.table import load_table
 
     if sum((quick, check, render)) > 1:
         raise ConfigError("--quick, --check and --render contradict each other; give one")
@@ -89,16 +89,19 @@ class _Watcher:
 
 def _make_dataset(request: DatasetRequest, part: PartRequest | None, out: Path, jobs: int) -> None:
     from surgbench.errors import DatasetError
+    from surgbench.generation import GenerationRequest
     from surgbench.generators.dispatch import plan_preset
     from surgbench.generators.resumable import generate
 
     plan = plan_preset(
         request.preset,
-        sequences=request.sequences,
-        frames=request.frames,
-        seed=request.seed,
-        corruption=request.corruption,
-        part=None if part is None else (part.sequences, part.frames),
+        GenerationRequest(
+            request.sequences,
+            request.frames,
+            request.seed,
+            request.corruption,
+            part=None if part is None else (part.sequences, part.frames),
+        ),
     )
     try:
         with progress("frames made", plan.frames) as advance:

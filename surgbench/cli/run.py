@@ -12,6 +12,7 @@ from surgbench.cli.progress import progress
 
 
 def run(
+    asked: dict[str, Any],
     dataset: Annotated[Path, typer.Option(metavar="DIR", help="A dataset's folder.")],
     tracker: Annotated[
         list[str] | None, typer.Option(metavar="NAME|FILE.py:Class", help="A tracker; may be repeated.")
@@ -23,33 +24,8 @@ def run(
     joints: Annotated[
         bool, typer.Option("--joints", help="With the dataset's own readings: a recording's, or noisy ones.")
     ] = False,
-    readings: Annotated[
-        Literal["none", "noisy", "true"] | None, typer.Option(help="Which joint readings trackers are given.")
-    ] = None,
-    view: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Auxiliary view that trackers see besides the endoscope's.")
-    ] = None,
     arms: Annotated[
         Literal["single", "dual"] | None, typer.Option(help="Each arm alone, or pairs in one mask.")
-    ] = None,
-    initialiser: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Default: truth where there is any, else random.")
-    ] = None,
-    keypoints: Annotated[
-        str | None,
-        typer.Option(metavar="NAME", help="Keypoint source; default: resnet18, with joint readings observed."),
-    ] = None,
-    filter_: Annotated[str | None, typer.Option("--filter", metavar="NAME", help="Default: kalman.")] = None,
-    registration: Annotated[
-        Literal["none", "translation", "rigid"] | None,
-        typer.Option(help="Viewpoint task: how the camera arm's base is registered; default: translation."),
-    ] = None,
-    missing_face: Annotated[
-        bool, typer.Option("--missing-face", help="Viewpoint task: one side of the no-go zone open, as published.")
-    ] = False,
-    photographs: Annotated[
-        float | None,
-        typer.Option(min=0, max=100, metavar="HZ", help="Viewpoint task: find the ring in so many pictures a second."),
     ] = None,
     set_: Annotated[
         list[str] | None, typer.Option("--set", metavar="NAME.option=value", help="An option; may be repeated.")
@@ -85,33 +61,24 @@ def run(
     from rich.console import Console
 
     from surgbench.dataset.open import open_dataset
-    from surgbench.report.records import SKIPPED, read_all_records
+    from surgbench.records.format import SKIPPED
+    from surgbench.records.reader import read_records
     from surgbench.report.render import print_leaderboard
     from surgbench.report.rows import derive_rows
     from surgbench.suite.plan import complete
     from surgbench.suite.plan import jobs as plan_jobs
     from surgbench.suite.run import check_output, make_plan, probe_output
     from surgbench.suite.run import run as run_plan
+    from surgbench.suite.running import Run
     from surgbench.suite.suites import from_command_line, load_suite
 
-    row: dict[str, Any] = {
-        "initialiser": initialiser,
-        "keypoints": keypoints,
-        "filter": filter_,
-        "readings": _readings(no_joints, joints, readings),
-        "view": view,
-        "registration": registration,
-        "missing_face": missing_face or None,
-        "photographs_hz": photographs,
-        "sequences": sequences,
-        "frames": frames,
-    }
-    protocol = {"arms": arms, "seed": seed, "repeats": repeats, "timeout_s": timeout, "device": device}
+    row = {**asked, **_shorthand(asked, joints, no_joints), "sequences": sequences, "frames": frames}
+    conditions = {"arms": arms, "seed": seed, "repeats": repeats, "timeout_s": timeout, "device": device}
     base = None if suite is None else load_suite(suite)
-    asked = from_command_line(base, tracker or [], row, set_ or [], protocol)
+    suite_ = from_command_line(base, tracker or [], row, set_ or [], conditions)
     data = open_dataset(dataset)
     check_output(out)
-    planned = [job for one in asked.rows for job in plan_jobs(complete(one, asked, data), data)]
+    planned = [job for one in suite_.rows for job in plan_jobs(complete(one, suite_, data), data)]
     plan = make_plan(planned, out, retry_failed)
     words = f"{len(plan.todo) - plan.skipped} runs, {plan.frames} frames to track"
     if plan.skipped:
@@ -135,25 +102,27 @@ def run(
     if plan.todo:
         probe_output(out)
         with progress("frames", plan.frames) as bar:
-            run_plan(plan, data, out, jobs, bar, bar.stage, finished)
+            run_plan(plan, data, out, jobs, Run(bar, bar.stage), finished)
     for record in failures:
         spec = record["spec"]
         print(f"{spec['row_id']} {spec['unit']}: {record['status']}: {record['error']}", file=sys.stderr)
     # The folder may hold other datasets' and other settings' records: show what was asked for.
-    rows = derive_rows(
-        [record for record in read_all_records([out]) if record.spec_hash in {job.hash for job in planned}]
-    )
+    rows = derive_rows([record for record in read_records([out]) if record.spec_hash in {job.hash for job in planned}])
     print_leaderboard(rows, Console())
     print(out)
     if failures and len(failures) == len(plan.todo) - plan.skipped:
         raise typer.Exit(1)
 
 
-def _readings(no_joints: bool, joints: bool, readings: str | None) -> str | None:
+def _shorthand(asked: dict[str, Any], joints: bool, no_joints: bool) -> dict[str, Any]:
+    """What ``--joints`` and ``--no-joints`` stand for.
+
+    Raises:
+        ConfigError: They contradict each other, or what is asked for beside them.
+    """
     from surgbench.errors import ConfigError
 
-    asked = [name for name, given in (("none", no_joints), ("noisy", joints)) if given]
-    asked += [readings] if readings is not None else []
-    if len(set(asked)) > 1:
+    given = [word for word, there in (("none", no_joints), ("noisy", joints)) if there]
+    if len({*given, *([asked["readings"]] if "readings" in asked else [])}) > 1:
         raise ConfigError("--no-joints, --joints and --readings contradict each other; give one")
-    return asked[0] if asked else None
+    return {"readings": given[0]} if given else {}

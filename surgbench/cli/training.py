@@ -11,12 +11,12 @@ import numpy as np
 from pydantic import Field
 
 from surgbench.cli.progress import Bar, progress
-from surgbench.config import Section, locate, parse_model, read_yaml
+from surgbench.config import Count, Section, locate, parse_model, read_yaml
 from surgbench.errors import SurgbenchError
 from surgbench.files import sha256_file, write_atomic
 from surgbench.generators.tip_masks import TipMasks, TipMaskSettings, in_published_space
 from surgbench.instrument import load_instrument
-from surgbench.keypoint_accuracy import accuracy, outcome
+from surgbench.keypoints.accuracy import accuracy, outcome
 from surgbench.trackers.keypoints.heatmaps.curve import draw_curve
 from surgbench.trackers.keypoints.heatmaps.detector import TipDetector
 from surgbench.trackers.keypoints.heatmaps.model import WEIGHTS, load_network
@@ -26,7 +26,6 @@ from surgbench.trackers.keypoints.heatmaps.training import LOG, Training, Traini
 
 CONFIG = "config.json"
 ACCURACY = "accuracy.json"
-Count = Annotated[int, Field(ge=1)]
 
 
 class Counts(Section):

@@ -34,15 +34,15 @@ def video(
     Example: surgbench video runs --row cmaes --unit 000-left
     """
     from surgbench.cli.progress import progress
-    from surgbench.report.records import read_records
-    from surgbench.report.video import VideoOptions, draw, plan
+    from surgbench.errors import SurgbenchError
+    from surgbench.records.reader import read_records
+    from surgbench.report.video_options import VideoOptions
+    from surgbench.task import find_task
 
     options = VideoOptions(tuple(unit or ()), tuple(row or ()), frames, samples, overlay, fps)
-    jobs = plan(read_records(directories), options, dataset)
-    folder = out or directories[0] / "video"
-    written = []
-    with progress("drawing frames", sum(job.frames for job in jobs)) as advance:
-        for job in jobs:
-            written += draw(job, options, folder, advance)
-    for path in written:
+    records = read_records(directories)
+    tasks = sorted({record.spec.task for record in records})
+    if len(tasks) > 1:
+        raise SurgbenchError(f"{directories[0]}: runs of several tasks ({', '.join(tasks)}); give folders of one")
+    for path in find_task(tasks[0]).draw(records, options, dataset, out or directories[0] / "video", progress):
         typer.echo(str(path))

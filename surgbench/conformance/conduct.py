@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 
-from surgbench.conformance.checks import FIRST, Outcome, checks_of
-from surgbench.conformance.isolation import START_TIMEOUT_S, WORKER
-from surgbench.conformance.session import Subject
-from surgbench.suite.child import Child, ChildProblemError
+from surgbench.conformance.checks import Outcome, checks_of, task_of
+from surgbench.conformance.subject import Subject
+from surgbench.processes.child import Child, ChildProblemError
+
+WORKER = "surgbench.conformance.worker"
+START_TIMEOUT_S = 120.0  # imports take seconds, and on a busy machine more
 
 
 def conduct(
@@ -31,10 +33,11 @@ def conduct(
         One outcome per check.
     """
     outcomes: list[Outcome] = []
+    first = task_of(subject).first_check
     child: Child | None = None
     try:
         for name in checks_of(subject) if names is None else names:
-            if any(outcome.check in FIRST and outcome.status == "FAILED" for outcome in outcomes):
+            if any(outcome.check == first and outcome.status == "FAILED" for outcome in outcomes):
                 outcome = Outcome(name, "not run", "for it does not get through the first")
             else:
                 child = child or _begin(timeout_s)
@@ -42,7 +45,8 @@ def conduct(
                 if outcome.status == "FAILED":
                     child.stop()
                     child = None
-            subject = replace(subject, kinematics=subject.kinematics or outcome.needs_kinematics)
+            if outcome.needs is not None:
+                subject = replace(subject, aids=subject.aids | {outcome.needs})
             outcomes.append(outcome)
             report(outcome)
     finally:
@@ -54,6 +58,7 @@ def conduct(
 def _begin(timeout_s: float) -> Child:
     child = Child(START_TIMEOUT_S, WORKER)
     try:
+        child.send("ready")
         child.receive()
     except BaseException:
         child.stop()

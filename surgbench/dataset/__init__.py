@@ -1,5 +1,1 @@
-"""Datasets on disk: the format, readers, importers and the validator."""
-
-from surgbench.dataset.reader import Dataset, Sequence, Unit
-
-__all__ = ["Dataset", "Sequence", "Unit"]
+"""Datasets on disk, whatever their task: manifest, integrity, tables and pictures, opening and checking."""

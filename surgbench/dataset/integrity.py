@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection
 from pathlib import Path
 
-from surgbench.dataset.format import MANIFEST_NAME, CommonManifest, FileEntry
+from surgbench.dataset.manifest import MANIFEST_NAME, FileEntry, Manifest
 from surgbench.dataset.masks import read_bytes
 from surgbench.dataset.storage import file_entry
 from surgbench.errors import DatasetError
@@ -23,7 +23,7 @@ def difference(path: Path, data: bytes, listed: FileEntry) -> str | None:
 
 def check_files(
     root: Path,
-    manifest: CommonManifest,
+    manifest: Manifest,
     expected: Collection[str],
     examine: Callable[[str, bytes], str | None] = lambda file, data: None,
     progress: Callable[[float], None] = lambda files: None,

@@ -7,7 +7,7 @@ import hashlib
 from collections.abc import Iterable
 from pathlib import Path
 
-from surgbench.dataset.format import FileEntry
+from surgbench.dataset.manifest import FileEntry
 from surgbench.errors import SurgbenchError
 
 

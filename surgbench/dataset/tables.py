@@ -12,18 +12,6 @@ from surgbench.geometry import FloatArray
 
 FRAME = "frame"
 TIMESTAMP = "timestamp_s"
-STATE_COLUMNS = ("alpha_rad", "beta_rad", "gamma_rad", "x_m", "y_m", "z_m", "q1_rad", "q2_rad", "q3_rad")
-KEYPOINT_COLUMNS = ("u1_px", "v1_px", "u2_px", "v2_px")
-READING_COLUMNS = ("q1_rad", "q2_rad", "q3_rad")
-# T_base_tool as the robot reads it: rotation vector, then position.
-KINEMATICS_COLUMNS = ("base_rx_rad", "base_ry_rad", "base_rz_rad", "base_x_m", "base_y_m", "base_z_m")
-# T_view_cam of an auxiliary view: rotation vector, then position.
-VIEW_COLUMNS = ("view_rx_rad", "view_ry_rad", "view_rz_rad", "view_x_m", "view_y_m", "view_z_m")
-
-
-def arm_columns(arm: str, names: Sequence[str]) -> list[str]:
-    """Column names of one arm, or of one kind of mask, for example ``left_u1_px``."""
-    return [f"{arm}_{name}" for name in names]
 
 
 def encode_table(columns: Mapping[str, FloatArray]) -> bytes:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from surgbench.geometry import FloatArray
 from surgbench.instrument.model import LinkMesh
-from surgbench.instrument.spec import Loft, Section
+from surgbench.instrument.spec import CrossSection, Loft
 
 _AXES = {"x": (1, 2, 0), "y": (2, 0, 1), "z": (0, 1, 2)}
 
@@ -37,7 +37,7 @@ def _unit_ring(sides: int, exponent: float, aspect: float) -> tuple[tuple[float,
     return tuple((float(a), float(b)) for a, b in grown)
 
 
-def _ring(section: Section, sides: int) -> FloatArray:
+def _ring(section: CrossSection, sides: int) -> FloatArray:
     """Corners ``(sides, 2)`` of one cross-section, metres along the two cross axes, counter-clockwise."""
     radii = np.array(section.radii_m)
     unit = np.array(_unit_ring(sides, section.exponent, section.radii_m[1] / section.radii_m[0]))

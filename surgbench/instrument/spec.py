@@ -6,9 +6,10 @@ import itertools
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 
-Finite = Annotated[float, Field(allow_inf_nan=False)]
+from surgbench.config import Finite, Section
+
 Range = tuple[Finite, Finite]
 Vector3 = tuple[Finite, Finite, Finite]
 
@@ -16,13 +17,7 @@ JOINT_NAMES = ("wrist_pitch", "wrist_yaw", "jaw")
 JointName = Literal["wrist_pitch", "wrist_yaw", "jaw"]
 
 
-class Strict(BaseModel):
-    """Base of all parts of an instrument file: unknown keys are errors, values never change."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-
-class Section(Strict):
+class CrossSection(Section):
     """One cross-section of a loft: a superellipse ``|a/ra|^n + |b/rb|^n = 1`` across the loft's axis.
 
     Attributes:
@@ -38,7 +33,7 @@ class Section(Strict):
     exponent: Annotated[float, Field(ge=1.0, le=20.0)] = 2.0
 
 
-class Loft(Strict):
+class Loft(Section):
     """A closed solid swept through cross-sections along one axis of the link frame.
 
     The cross axes follow the axis cyclically: (y, z) for x, (z, x) for y, (x, y) for z.
@@ -46,7 +41,7 @@ class Loft(Strict):
 
     axis: Literal["x", "y", "z"]
     sides: Annotated[int, Field(ge=3, le=256)] = 16
-    sections: Annotated[tuple[Section, ...], Field(min_length=2)]
+    sections: Annotated[tuple[CrossSection, ...], Field(min_length=2)]
 
     @model_validator(mode="after")
     def _increasing(self) -> Loft:
@@ -56,7 +51,7 @@ class Loft(Strict):
         return self
 
 
-class MeshFile(Strict):
+class MeshFile(Section):
     """A triangle mesh beside the instrument file (STL, OBJ or PLY).
 
     Attributes:
@@ -84,7 +79,7 @@ class MeshFile(Strict):
         return rows
 
 
-class Link(Strict):
+class Link(Section):
     """One rigid body. Its frame is ``T_parent · Rx(alpha) Tx(a) Rz(theta) Tz(d)`` (Craig's convention).
 
     ``theta = theta_offset_rad + joint_scale * q[joint]``. The first link has no parent: its frame is the
@@ -109,14 +104,14 @@ class Link(Strict):
         return self
 
 
-class LinkPoint(Strict):
+class LinkPoint(Section):
     """A point fixed to a link, metres in the link's frame."""
 
     link: str
     point_m: Vector3
 
 
-class Joint(Strict):
+class Joint(Section):
     """Limits of one joint, radians: what trackers search, and what the generator draws."""
 
     search_rad: Range
@@ -130,7 +125,7 @@ class Joint(Strict):
         return self
 
 
-class InstrumentSpec(Strict):
+class InstrumentSpec(Section):
     """An instrument file. See ``docs/instruments.md`` for a commented example."""
 
     format: Literal["surgbench-instrument-1"]

@@ -10,99 +10,19 @@ import csv as csv_format
 import io
 import json as json_format
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from surgbench.report.records import SKIPPED
-from surgbench.report.rows import Row
+from surgbench.records.format import SKIPPED
+from surgbench.report.column import ROW, STATUS, VARIANT, Column
+from surgbench.report.row import Row
 from surgbench.report.rows import columns as columns_of
+from surgbench.task import find_task
 
 if TYPE_CHECKING:
     from rich.console import Console
 
 TABLE_WIDTH = 100
 ROW_MIN_WIDTH = 8
-NO_VALUE = "–"
-
-
-@dataclass(frozen=True)
-class Column:
-    """One column for reading.
-
-    Attributes:
-        key: Key of the row.
-        short: Heading in the terminal, with the unit on a line of its own.
-        long: Heading in Markdown.
-        decimals: ``None`` for text and counts.
-        scale: Multiplies the value (1000 turns metres into millimetres).
-        best: The smallest value of a sound row is marked.
-        from_width: Terminals narrower than this go without it; Markdown shows all.
-    """
-
-    key: str
-    short: str
-    long: str
-    decimals: int | None = None
-    scale: float = 1.0
-    best: bool = False
-    from_width: int = 0
-
-    def text(self, row: Row) -> str:
-        """The value as shown."""
-        value = row[self.key]
-        if value is None:
-            return NO_VALUE
-        if self.decimals is None:
-            return str(value)
-        shown = value * self.scale
-        if self.decimals == 0 and 0 < shown < 1:  # little is not nothing
-            return f"{shown:.1g}"
-        return f"{shown:.{self.decimals}f}"
-
-
-ROW = Column("row_id", "row", "row")
-VARIANT = Column("variant", "variant", "variant", from_width=120)
-STATUS = Column("status", "status", "status")
-COLUMNS = (
-    ROW,
-    VARIANT,
-    Column("sequences", "seq.", "sequences"),
-    Column("coverage", "done\n%", "done [%]", 0, 100.0),
-    Column("mask_error", "mask\nerror", "mask error", 3, best=True),
-    Column("mask_error_true", "true\nmask", "true mask error", 3, best=True, from_width=100),
-    Column("rotation_error_rad", "rot.\nrad", "rotation [rad]", 3, best=True),
-    Column("translation_error_m", "trans.\nmm", "translation [mm]", 2, 1000.0, best=True),
-    Column("tip_error_m", "tips\nmm", "tips [mm]", 2, 1000.0, best=True, from_width=100),
-    Column("q1_error_rad", "q1\nrad", "q1 [rad]", 3, best=True),
-    Column("q2_error_rad", "q2\nrad", "q2 [rad]", 3, best=True),
-    Column("q3_error_rad", "q3\nrad", "q3 [rad]", 3, best=True),
-    Column("keypoint_error_px", "tips\npx", "keypoints [px]", 1, best=True),
-    Column("start_lag_ms", "start\nlag ms", "start lag [ms]", 1, from_width=130),
-    Column("latency_ms", "time\nms", "latency [ms]", 1, best=True),
-    Column("latency_ms_p95", "p95\nms", "p95 [ms]", 1, from_width=100),
-)
-
-
-# Of viewpoint controllers; the page has every subset of the samples, the terminal all of them together.
-VIEWPOINT = (
-    ROW,
-    VARIANT,
-    Column("subset", "samples\nof", "samples"),
-    Column("samples", "n", "n", from_width=110),
-    Column("coverage", "done\n%", "done [%]", 0, 100.0),
-    Column("vva_deg", "VVA\ndeg", "VVA [deg]", 2, best=True),
-    Column("fd_mm", "FD\nmm", "FD [mm]", 2, best=True),
-    Column("pf_deg", "PF\ndeg", "PF [deg]", 2, best=True),
-    Column("an_deg", "AN\ndeg", "AN [deg]", 1, best=True),
-    Column("pn_mm", "PN\nmm", "PN [mm]", 1, best=True),
-    Column("vva_true_deg", "true\nVVA", "true VVA [deg]", 2, best=True, from_width=90),
-    Column("constrained_percent", "bound\n%", "constrained [%]", 1),
-    Column("visibility_any_percent", "seen\n%", "visible to a camera [%]", 2, from_width=90),
-    Column("no_go_violations", "no-\ngo", "no-go violations"),
-    Column("limit_violations", "limit", "limit violations", from_width=100),
-    Column("latency_ms", "time\nms", "latency [ms]", 3, best=True),
-    Column("latency_ms_p999", "p99.9\nms", "p99.9 [ms]", 3, from_width=90),
-)
 
 
 def csv(rows: Sequence[Row]) -> str:
@@ -123,7 +43,7 @@ def json(rows: Sequence[Row]) -> str:
 def markdown(rows: Sequence[Row]) -> str:
     """One table per dataset and number of arms, and a line for every failure."""
     parts = []
-    for title, group in _groups([row for row in rows if row.get("camera") is None]):
+    for title, group in _groups([row for row in rows if find_task(row["task"]).on_page(row)]):
         columns, best = _shown(group), _best(group)
         unsound = _unsound(group)
         if unsound:
@@ -166,9 +86,7 @@ def print_leaderboard(rows: Sequence[Row], console: Console) -> None:
     from rich.table import Table
     from rich.text import Text
 
-    for title, group in _groups(
-        [row for row in rows if row.get("subset", "all") == "all" and row.get("camera") is None]
-    ):
+    for title, group in _groups([row for row in rows if find_task(row["task"]).is_whole(row)]):
         columns, best = _shown(group, console.width), _best(group)
         sheet = Table(title=Text(title), title_justify="left", box=box.SIMPLE_HEAD, padding=0, pad_edge=False)
         for column in columns:
@@ -191,19 +109,18 @@ def print_leaderboard(rows: Sequence[Row], console: Console) -> None:
 def _groups(rows: Sequence[Row]) -> Iterator[tuple[str, list[Row]]]:
     groups: dict[tuple[str, str], list[Row]] = {}
     for row in rows:
-        arms = {"single": "single arms", "dual": "both arms together"}.get(row.get("arms", ""), "viewpoint")
-        groups.setdefault((row["dataset"], arms), []).append(row)
-    for (dataset, arms), group in groups.items():
-        yield f"{dataset}, {arms}", group
+        groups.setdefault((row["dataset"], find_task(row["task"]).title(row)), []).append(row)
+    for (dataset, title), group in groups.items():
+        yield f"{dataset}, {title}", group
 
 
 def _columns(rows: list[Row]) -> tuple[Column, ...]:
-    return COLUMNS if rows[0]["task"] == "instrument" else VIEWPOINT
+    return find_task(rows[0]["task"]).shown
 
 
 def _shown(rows: list[Row], width: int | None = None) -> list[Column]:
     """Columns worth their room in ``width`` characters (``None``: any): not those without a value."""
-    ids = [(row["row_id"], row.get("subset")) for row in rows]
+    ids = [(row["row_id"], _part(row)) for row in rows]
     # Rows of one name can be told apart by their variant alone, and a floor must be known for what it is.
     telling = len(set(ids)) < len(ids) or any(row.get("floor") for row in rows)
     return [
@@ -212,26 +129,31 @@ def _shown(rows: list[Row], width: int | None = None) -> list[Column]:
         if (width is None or width >= column.from_width or (column is VARIANT and telling))
         and (column is ROW or any(row[column.key] is not None for row in rows))
         and (column.key != "coverage" or any(row["coverage"] < 1 for row in rows))
-        and (column.key != "subset" or len({row["subset"] for row in rows}) > 1)
+        and (column.key not in find_task(rows[0]["task"]).parts or len({row[column.key] for row in rows}) > 1)
     ]
 
 
 def _best(rows: list[Row]) -> dict[Any, Any]:
-    """Of each subset and column the smallest value."""
+    """Of each part and column the smallest value."""
     sound = [row for row in rows if _ranks(row)]
     best: dict[Any, Any] = {}
-    for subset in dict.fromkeys(row.get("subset") for row in sound):
-        own = [row for row in sound if row.get("subset") == subset]
+    for part in dict.fromkeys(map(_part, sound)):
+        own = [row for row in sound if _part(row) == part]
         for column in _columns(rows) if len(own) > 1 else ():
             values = [row[column.key] for row in own if row[column.key] is not None]
             if values:
-                best[subset, column.key] = min(values)
+                best[part, column.key] = min(values)
     return best
 
 
 def _is_best(column: Column, row: Row, best: dict[Any, Any]) -> bool:
     value = row[column.key]
-    return column.best and _ranks(row) and value is not None and value == best.get((row.get("subset"), column.key))
+    return column.best and _ranks(row) and value is not None and value == best.get((_part(row), column.key))
+
+
+def _part(row: Row) -> tuple[Any, ...]:
+    """Which part of a run's samples the row is about."""
+    return tuple(row.get(column) for column in find_task(row["task"]).parts)
 
 
 def _ranks(row: Row) -> bool:
@@ -239,9 +161,7 @@ def _ranks(row: Row) -> bool:
 
 
 def _unsound(rows: list[Row]) -> list[Row]:
-    return [
-        row for row in rows if row["status"] != "ok" and row.get("subset", "all") == "all" and not row.get("camera")
-    ]
+    return [row for row in rows if row["status"] != "ok" and find_task(row["task"]).is_whole(row)]
 
 
 def _reason(row: Row) -> str:

@@ -10,22 +10,26 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from surgbench.dataset.open import AnyDataset, open_dataset
+from surgbench.dataset.base import Dataset
+from surgbench.dataset.open import open_dataset
 from surgbench.errors import DatasetError
 from surgbench.files import sha256_file
 from surgbench.randomness import generator
-from surgbench.report.records import SKIPPED
+from surgbench.records.format import SKIPPED
 from surgbench.reproduce.consistency import inconsistencies
 from surgbench.reproduce.datasets import MakeDataset, PartRequest, Watcher, provide
+from surgbench.reproduce.files import LEADERBOARD_CSV, read_results
 from surgbench.reproduce.fingerprint import head, largest_deviation
-from surgbench.reproduce.results import LEADERBOARD_CSV, Results, read_results
-from surgbench.reproduce.sheet import sheet_of
+from surgbench.reproduce.results import Results
 from surgbench.reproduce.table import Block, Definition, TableRow
 from surgbench.suite.environment import environment
-from surgbench.suite.plan import Job, complete
+from surgbench.suite.plan import complete
 from surgbench.suite.plan import jobs as plan_jobs
 from surgbench.suite.run import make_plan
 from surgbench.suite.run import run as run_plan
+from surgbench.suite.running import Run
+from surgbench.suite.settings import Job
+from surgbench.task import find_task
 
 Outcome = Literal["identical", "close", "differs", "failed", "skipped"]
 
@@ -133,7 +137,7 @@ def choose(definition: Definition, results: Results, table_sha256: str, commit: 
 
 def _dataset(
     block: Block, chosen: Sequence[Chosen], results: Results, data: Path, scratch: Path, jobs: int, make: MakeDataset
-) -> AnyDataset:
+) -> Dataset[Any]:
     """The whole dataset where it lies already, else just what is needed of it."""
     committed = results.about["datasets"][block.dataset.folder]
     try:
@@ -151,7 +155,7 @@ def _dataset(
 def _run_again(
     block: Block,
     chosen: Sequence[Chosen],
-    dataset: AnyDataset,
+    dataset: Dataset[Any],
     results: Results,
     out: Path,
     workers: int,
@@ -160,7 +164,7 @@ def _run_again(
     jobs = [_job(block, one, dataset) for one in chosen]
     plan = make_plan(jobs, out)
     with watcher.progress(block.heading, plan.frames) as bar:
-        run_plan(plan, dataset, out, workers, bar, bar.stage, lambda record: None)
+        run_plan(plan, dataset, out, workers, Run(bar, bar.stage), lambda record: None)
     verdicts = []
     for one, job in zip(chosen, jobs, strict=True):
         record = json.loads((out / job.path).read_text(encoding="utf-8"))
@@ -168,21 +172,22 @@ def _run_again(
     return verdicts
 
 
-def _job(block: Block, chosen: Chosen, dataset: AnyDataset) -> Job:
+def _job(block: Block, chosen: Chosen, dataset: Dataset[Any]) -> Job:
     asked = chosen.row.asked(quick=False).model_copy(update={"sequences": None, "frames": chosen.frames})
     settings = complete(asked, block.protocol, dataset)
     return next(job for job in plan_jobs(settings, dataset) if job.unit.id == chosen.unit and job.repeat == 0)
 
 
-def _judge(chosen: Chosen, job: Job, record: dict[str, Any], dataset: AnyDataset, results: Results) -> Verdict:
+def _judge(chosen: Chosen, job: Job, record: dict[str, Any], dataset: Dataset[Any], results: Results) -> Verdict:
     if record["status"] == SKIPPED:
         return Verdict(chosen, "skipped", record["error"])
     if record["status"] != "ok":
         return Verdict(chosen, "failed", f"{record['status']}: {record['error']}")
-    committed, found = results.about["records"][chosen.key]["head"], head(record, chosen.frames)
+    sheet = find_task(job.settings.task).sheet
+    committed, found = results.about["records"][chosen.key]["head"], head(record, chosen.frames, sheet)
     if committed["states_sha256"] == found["states_sha256"]:
         return Verdict(chosen, "identical", f"{found['frames']} states bit for bit")
-    beyond = beyond_tolerance(committed, found, sheet_of(job.settings.task).no_difference)
+    beyond = beyond_tolerance(committed, found, sheet.no_difference)
     notes = [f"frame {found['frames'] - 1} off by {largest_deviation(committed['last'], found['last']):.2g}"]
     notes += [f"mean {name} {now:.4g} instead of {then:.4g}" for name, then, now in beyond]
     if not _same_data(chosen, job, dataset, results):
@@ -207,9 +212,9 @@ def beyond_tolerance(
     return beyond
 
 
-def _same_data(chosen: Chosen, job: Job, dataset: AnyDataset, results: Results) -> bool:
+def _same_data(chosen: Chosen, job: Job, dataset: Dataset[Any], results: Results) -> bool:
     committed = first_sha256(results.about["datasets"][chosen.block.dataset.folder])[job.unit.sequence]
-    found = sheet_of(job.settings.task).describe(dataset, results.about["first_frames"])
+    found = find_task(job.settings.task).sheet.describe(dataset, results.about["first_frames"])
     return bool(committed == found["first_sha256"][job.unit.sequence])
 
 

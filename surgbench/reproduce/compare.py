@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from surgbench.report.rows import Row
+from surgbench.report.row import Row
 from surgbench.reproduce.published import Published
 from surgbench.reproduce.table import Block, TableRow
 
@@ -36,20 +36,6 @@ class Measure:
     def heading(self) -> str:
         """Name and unit."""
         return f"{self.name} [{self.unit}]" if self.unit else self.name
-
-
-ROTATION = Measure("rotation_error_rad", "rotation", "rad", 4)
-TRANSLATION = Measure("translation_error_m", "translation", "mm", 2, 1000.0)
-TIPS = Measure("tip_error_m", "tips", "mm", 2, 1000.0)
-JOINTS = tuple(Measure(f"q{n}_error_rad", f"q{n}", "rad", 4) for n in (1, 2, 3))
-MASK = Measure("mask_error", "mask error", "", 4)
-TRUE_MASK = Measure("mask_error_true", "true mask error", "", 4)
-KEYPOINTS = Measure("keypoint_error_px", "keypoints", "px", 2)
-TIME = Measure("latency_optimise_ms", "time", "ms", 2)
-
-ALL = (ROTATION, TRANSLATION, TIPS, *JOINTS, MASK, TRUE_MASK, KEYPOINTS)
-PUBLISHED = (ROTATION, TRANSLATION, *JOINTS, MASK, KEYPOINTS, TIME)
-ABOVE_FLOOR = (ROTATION, TRANSLATION, TIPS, *JOINTS)
 
 
 @dataclass(frozen=True)
@@ -87,7 +73,9 @@ class Comparison:
     pairs: tuple[Pair, ...]
 
 
-def compare(block: Block, rows: Sequence[Row], published: Published | None) -> list[Comparison]:
+def compare(
+    block: Block, rows: Sequence[Row], published: Published | None, measures: Sequence[Measure]
+) -> list[Comparison]:
     """All rows of a block that have a published row and were run, with the figures that both are about."""
     if published is None:
         return []
@@ -97,7 +85,7 @@ def compare(block: Block, rows: Sequence[Row], published: Published | None) -> l
         if row.published is None or not found[row.id]["frames"]:
             continue
         ours, pairs = found[row.id], []
-        for measure in PUBLISHED:
+        for measure in measures:
             figure = published.value(row.published, str(block.published_on), measure.key)
             if figure is not None:
                 pairs.append(Pair(measure, figure, ours[measure.key], ours.get(f"{measure.key}_sem")))

@@ -8,10 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from surgbench.report.rows import Row
-from surgbench.reproduce.results import LEADERBOARD_CSV, LEADERBOARD_MD, RECORDS_JSON, SEQUENCES_CSV, Results
-from surgbench.reproduce.sheet import Sheet, sheet_of
+from surgbench.report.row import Row
+from surgbench.reproduce.files import LEADERBOARD_CSV, LEADERBOARD_MD, RECORDS_JSON, SEQUENCES_CSV
+from surgbench.reproduce.results import Results
+from surgbench.reproduce.sheet import Sheet
 from surgbench.reproduce.table import Definition
+from surgbench.task import find_task
 
 # Of a mean that was summed in another order, and of six digits.
 _ROUNDING, _SIX_DIGITS = 1e-9, 1e-5
@@ -26,9 +28,8 @@ def inconsistencies(definition: Definition, results: Results, folder: Path) -> l
         folder: Where they lie.
     """
     wanted = [row.id for _, row in definition.table.rows()]
-    sheet = sheet_of(definition.table.task)
-    # Of a row's subsets of the samples, the one that has all of them.
-    rows = [row for row in results.rows if row.get("subset", "all") == "all" and row.get("camera") is None]
+    sheet = find_task(definition.table.task).sheet
+    rows = [row for row in results.rows if find_task(row["task"]).is_whole(row)]
     there = [row["row_id"] for row in rows]
     if wanted != there:
         missing = [id_ for id_ in wanted if id_ not in there] or [id_ for id_ in there if id_ not in wanted]

@@ -5,9 +5,10 @@ from __future__ import annotations
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
-from surgbench.dataset.open import AnyDataset, open_dataset
+from surgbench.dataset.base import Dataset
+from surgbench.dataset.open import open_dataset
 from surgbench.reproduce.table import DatasetRequest
 
 
@@ -51,7 +52,9 @@ class MakeDataset(Protocol):
         """Have the dataset, or a part of it, whole in ``out`` afterwards."""
 
 
-def provide(request: DatasetRequest, part: PartRequest | None, data: Path, jobs: int, make: MakeDataset) -> AnyDataset:
+def provide(
+    request: DatasetRequest, part: PartRequest | None, data: Path, jobs: int, make: MakeDataset
+) -> Dataset[Any]:
     """A dataset, made first where it is not there.
 
     Args:

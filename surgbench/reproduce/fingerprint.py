@@ -7,16 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from surgbench.dataset.format import observed_path
-from surgbench.dataset.reader import Dataset
 from surgbench.files import canonical_json, sha256_text
 from surgbench.geometry import FloatArray
-from surgbench.metrics import POSE_ERRORS
+from surgbench.reproduce.sheet import Sheet
 
-HEAD_ERRORS = (
-    *(*POSE_ERRORS, "mask_error", "mask_error_true"),
-    *("vva_deg", "fd_mm", "pf_deg", "an_deg", "pn_mm", "vva_true_deg"),
-)
 # What differs from machine to machine, or from one run to the next, though the estimates are the same.
 _VOLATILE = ("environment", "dataset_path", "references", "initialise_s", "traceback")
 _VOLATILE_FRAMES = "latency_"
@@ -30,22 +24,23 @@ def record_sha256(record: dict[str, Any]) -> str:
     return sha256_text(canonical_json(kept))
 
 
-def head(record: dict[str, Any], frames: int) -> dict[str, Any]:
+def head(record: dict[str, Any], frames: int, sheet: Sheet) -> dict[str, Any]:
     """A record's first frames in short.
 
     Args:
         record: A record's whole content.
         frames: How many frames at most.
+        sheet: Of its task.
 
     Returns:
-        ``frames`` (how many there are), ``states_sha256`` (of the estimates, or a controller's set points, as
-        little-endian float64, frame by frame), ``last`` (the last of these), ``errors`` (``HEAD_ERRORS`` to mean and
+        ``frames`` (how many there are), ``states_sha256`` (of the estimates as little-endian float64, frame
+        by frame), ``last`` (the last of these), ``errors`` (those of ``sheet.no_difference`` to mean and
         standard deviation over the frames, to six digits; without those that the record has not).
     """
     found = record["frames"] or {}
-    states = np.array(found.get("state", found.get("setpoint", [])), dtype="<f8")[:frames]
+    states = np.array(found.get(sheet.estimates, []), dtype="<f8")[:frames]
     errors = {}
-    for name in HEAD_ERRORS:
+    for name in sheet.no_difference:
         values = np.array((record["errors"] or {}).get(name) or [], dtype=np.float64)[:frames]
         values = values[~np.isnan(values)]
         if values.size:
@@ -56,14 +51,6 @@ def head(record: dict[str, Any], frames: int) -> dict[str, Any]:
         "last": states[-1].tolist() if len(states) else [],
         "errors": errors,
     }
-
-
-def sequence_head_sha256(dataset: Dataset, sequence: str, frames: int) -> str:
-    """SHA-256 over the hashes of a sequence's first masks, as its manifest has them."""
-    kinds = dataset.sequence(sequence).entry.kinds
-    paths = [observed_path(sequence, kind, frame) for frame in range(frames) for kind in kinds]
-    files = dataset.manifest.files
-    return sha256_text("\n".join(files[path].sha256 for path in paths if path in files))
 
 
 def largest_deviation(recorded: list[float], found: list[float]) -> float:

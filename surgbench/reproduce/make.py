@@ -6,22 +6,22 @@ from pathlib import Path
 
 from surgbench.errors import SurgbenchError
 from surgbench.files import write_atomic
+from surgbench.report.figures import FIGURE_PNG, check_matplotlib
 from surgbench.reproduce.datasets import MakeDataset, Watcher
-from surgbench.reproduce.figure import FIGURE_PNG, check_matplotlib
-from surgbench.reproduce.results import (
+from surgbench.reproduce.derive import derive
+from surgbench.reproduce.files import (
     LEADERBOARD_CSV,
     LEADERBOARD_MD,
     RECORDS_JSON,
     SEQUENCES_CSV,
-    Results,
     csv_text,
-    derive,
     json_text,
     read_results,
 )
-from surgbench.reproduce.sheet import sheet_of
+from surgbench.reproduce.results import Results
 from surgbench.reproduce.table import Definition
 from surgbench.reproduce.work import do_work
+from surgbench.task import find_task
 
 
 def table_folder(definition: Definition, out: Path, quick: bool) -> Path:
@@ -59,7 +59,7 @@ def reproduce(
     folder = table_folder(definition, out, quick)
     blocks, failures = do_work(definition, folder, data, jobs, quick, make, watcher)
     results = derive(definition, blocks, folder, quick)
-    sheet = sheet_of(definition.table.task)
+    sheet = find_task(definition.table.task).sheet
     results.about["figure"] = bool(with_figure and sheet.draw(definition, blocks, folder))
     texts = {
         LEADERBOARD_CSV: csv_text(results.rows, sheet.leaderboard),
@@ -78,7 +78,7 @@ def render(definition: Definition, folder: Path) -> Path:
     Raises:
         SurgbenchError: The files are not there or damaged, or it cannot be written.
     """
-    _write(folder / LEADERBOARD_MD, sheet_of(definition.table.task).page(definition, read_results(folder)))
+    _write(folder / LEADERBOARD_MD, find_task(definition.table.task).sheet.page(definition, read_results(folder)))
     return folder / LEADERBOARD_MD
 
 

@@ -4,16 +4,12 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
-from surgbench.config import locate, parse_model, read_yaml
-
-
-class _Part(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
+from surgbench.config import Section, locate, parse_model, read_yaml
 
 
-class Figure(_Part):
+class Figure(Section):
     """A mean with its standard deviation, as printed."""
 
     mean: float
@@ -23,7 +19,7 @@ class Figure(_Part):
 Values = dict[str, float | Figure]
 
 
-class PublishedRow(_Part):
+class PublishedRow(Section):
     """A row of a published table.
 
     Attributes:
@@ -46,7 +42,7 @@ class PublishedRow(_Part):
         return {**own, "data": {key: value for key, value in content.items() if key not in own}}
 
 
-class Published(_Part):
+class Published(Section):
     """One source's figures.
 
     Attributes:

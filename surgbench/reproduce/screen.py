@@ -8,6 +8,7 @@ from surgbench.report.render import print_leaderboard
 from surgbench.reproduce.compare import Comparison, Pair, compare
 from surgbench.reproduce.results import Results
 from surgbench.reproduce.table import Definition
+from surgbench.task import find_task
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -28,9 +29,9 @@ def print_table(definition: Definition, results: Results, console: Console) -> N
             if row["block"] == block.name
         ]
         print_leaderboard(rows, console)
-        if definition.table.task != "instrument":
-            continue
-        comparisons = compare(block, results.rows, definition.published)
+        comparisons = compare(
+            block, results.rows, definition.published, find_task(definition.table.task).sheet.measures
+        )
         if comparisons and definition.published is not None:
             _print_comparisons(comparisons, definition.published.short, console)
     if results.about["quick"]:

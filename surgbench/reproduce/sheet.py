@@ -7,14 +7,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from surgbench.report.records import AnyRecord
-from surgbench.report.rows import COMMON_COLUMNS, Row
+from surgbench.records.format import Record
+from surgbench.report.row import COMMON_COLUMNS, Row
 
 if TYPE_CHECKING:
-    from surgbench.dataset.open import AnyDataset
-    from surgbench.reproduce.results import Results
+    from surgbench.dataset.base import Dataset
+    from surgbench.reproduce.compare import Measure
+    from surgbench.reproduce.results import BlockWork, Results
     from surgbench.reproduce.table import Definition
-    from surgbench.reproduce.work import BlockWork
 
 _NUMBERS = frozenset({"sequences", "frames", "repeats", "coverage", "calibration_ratio"})
 
@@ -37,6 +37,8 @@ class Sheet:
             ``sequences`` and ``frames``, how many there are, and ``first_sha256``, sequence to a hash of these frames.
         page: The Markdown page.
         draw: The figures that go into the table's folder; their names, none where nothing can be drawn.
+        estimates: Column of a record's frames that a rerun is held against.
+        measures: What is shown beside published figures in the terminal.
     """
 
     columns: tuple[str, ...]
@@ -51,6 +53,8 @@ class Sheet:
     describe: Callable[[Any, int], dict[str, Any]]
     page: Callable[[Definition, Results], str]
     draw: Callable[[Definition, Sequence[BlockWork], Path], list[str]]
+    estimates: str
+    measures: tuple[Measure, ...] = ()
 
     @property
     def leaderboard(self) -> tuple[str, ...]:
@@ -74,7 +78,7 @@ class Sheet:
         own = {*self.settings, *self.traits, "block", "label", "unit"}
         return frozenset({*COMMON_COLUMNS, *own} - _NUMBERS - set(self.latencies))
 
-    def sequence_row(self, block: str, dataset: AnyDataset, record: AnyRecord) -> Row:
+    def sequence_row(self, block: str, dataset: Dataset[Any], record: Record) -> Row:
         """A record's line of ``sequences.csv``."""
         import numpy as np
 
@@ -93,14 +97,3 @@ class Sheet:
             values = values[~np.isnan(values)]
             row[error] = float(values.mean()) if values.size else None
         return row
-
-
-def sheet_of(task: str) -> Sheet:
-    """The sheet of a task."""
-    if task == "viewpoint":
-        from surgbench.viewpoint.sheet import VIEWPOINT_SHEET
-
-        return VIEWPOINT_SHEET
-    from surgbench.reproduce.instrument_sheet import INSTRUMENT_SHEET
-
-    return INSTRUMENT_SHEET

@@ -2,28 +2,20 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, create_model, model_validator
 
-from surgbench.config import locate, parse_model, read_yaml
-from surgbench.errors import ConfigError, NotFoundError, unknown_name
-from surgbench.registry import NAME_PATTERN, Kind, configure, find
-from surgbench.reproduce.published import Published, load_published
-from surgbench.suite.plan import Protocol, Row
-
-Count = Annotated[int, Field(ge=1)]
+from surgbench.config import Count, Section
+from surgbench.kinds import NAME_PATTERN
+from surgbench.reproduce.published import Published
+from surgbench.suite.asked import Conditions, RowRequest
 
 
-class _Part(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-
-class DatasetRequest(_Part):
+class DatasetRequest(Section):
     """A generated dataset: a preset, and what is put over it.
 
     Attributes:
@@ -47,14 +39,14 @@ class DatasetRequest(_Part):
         return "-".join([Path(self.preset).stem, *(f"{key}-{value}" for key, value in over.items())])
 
 
-class Timing(_Part):
+class Timing(Section):
     """What latencies are measured on, one run at a time, whatever the number of jobs was."""
 
     runs: Count
     frames: Count
 
 
-class TableRow(Row):
+class TableRow(RowRequest):
     """A row of a suite with its place in a table. It needs a ``row_id``.
 
     Attributes:
@@ -74,21 +66,23 @@ class TableRow(Row):
     timing: Timing | None = None
     quick_options: dict[str, dict[str, Any]] = Field(default={})
 
+    row: ClassVar[type[RowRequest]] = RowRequest  # of the table's task: see table_model
+
     @property
     def id(self) -> str:
         """The row id."""
         return str(self.row_id)
 
-    def asked(self, quick: bool) -> Row:
+    def asked(self, quick: bool) -> RowRequest:
         """The row as a suite would ask for it."""
-        content = self.model_dump(include=set(Row.model_fields))
+        content = self.model_dump(include=set(self.row.model_fields))
         if quick:
             names = {*self.options, *self.quick_options}
             content["options"] = {k: {**self.options.get(k, {}), **self.quick_options.get(k, {})} for k in names}
-        return Row.model_validate(content)
+        return self.row.model_validate(content)
 
 
-class Block(_Part):
+class Block(Section):
     """Rows that share a dataset and a protocol.
 
     Attributes:
@@ -98,7 +92,7 @@ class Block(_Part):
         dataset: What to generate.
         quick_sequences: Ids of the dataset's sequences that a quick run makes.
         protocol: What all rows share.
-        keypoints: Keypoint source of the rows that name none; unless told as in a suite.
+        defaults: What its rows ask for where they do not say.
         published_on: Which of the published rows' datasets the block stands for.
         rows: In the order they are shown.
     """
@@ -108,20 +102,13 @@ class Block(_Part):
     note: str = ""
     dataset: DatasetRequest
     quick_sequences: Annotated[tuple[str, ...], Field(min_length=1)]
-    protocol: Protocol = Protocol()
-    keypoints: str | None = None
+    protocol: Conditions = Conditions()
+    defaults: dict[str, Any] = Field(default={})
     published_on: str | None = None
     rows: Annotated[tuple[TableRow, ...], Field(min_length=1)]
 
-    @model_validator(mode="after")
-    def _hand_on_keypoints(self) -> Block:
-        if self.keypoints is not None:
-            rows = (row if row.keypoints else row.model_copy(update={"keypoints": self.keypoints}) for row in self.rows)
-            self.__dict__["rows"] = tuple(rows)
-        return self
 
-
-class Share(_Part):
+class Share(Section):
     """What a quick run does.
 
     Attributes:
@@ -133,7 +120,7 @@ class Share(_Part):
     frames: Count
 
 
-class Check(_Part):
+class Check(Section):
     """How much a check repeats.
 
     Attributes:
@@ -145,13 +132,13 @@ class Check(_Part):
     frames: Count
 
 
-class Picture(_Part):
+class Picture(Section):
     """The figure: ground truth and some rows' estimates over time.
 
     Attributes:
         block: Its block.
         unit: The arm, or its pair, that is shown.
-        rows: Row ids.
+        rows: RowRequest ids.
     """
 
     block: str
@@ -159,7 +146,7 @@ class Picture(_Part):
     rows: Annotated[tuple[str, ...], Field(min_length=1, max_length=5)]
 
 
-class Table(_Part):
+class Table(Section):
     """A table file.
 
     Attributes:
@@ -175,7 +162,7 @@ class Table(_Part):
     """
 
     title: str
-    task: Literal["instrument", "viewpoint"] = "instrument"
+    task: str
     note: str = ""
     published: str | None = None
     quick: Share
@@ -234,44 +221,15 @@ class Definition:
     sha256: str
 
 
-def load_table(reference: str) -> Definition:
-    """A table by name (``surgbench list tables``) or from a YAML file.
+def table_model(row: type[RowRequest]) -> type[Table]:
+    """The model of a table whose rows are of one task.
 
-    Raises:
-        NotFoundError: No such table, or a row of it names a plug-in or published row that is not there.
-        ConfigError: An unknown key or a wrong value; one line.
+    Args:
+        row: What a row of that task may ask for.
     """
-    path = locate("tables", "table", reference)
-    table = parse_model(Table, read_yaml(path, "table"), str(path))
-    published = None if table.published is None else load_published(table.published)
-    for block, row in table.rows():
-        try:
-            _check_row(block, row, published)
-        except (ConfigError, NotFoundError) as error:
-            raise type(error)(f"{path}: row '{row.id}': {error}") from None
-    return Definition(path.stem, table, published, hashlib.sha256(path.read_bytes()).hexdigest())
-
-
-def _check_row(block: Block, row: TableRow, published: Published | None) -> None:
-    """See now what would otherwise be noticed after datasets are made and rows are run."""
-    if row.published is not None:
-        if published is None:
-            raise ConfigError("names a published row, but the table names no published figures")
-        if row.published not in published.rows:
-            raise NotFoundError(unknown_name("published row", row.published, published.rows))
-        if block.published_on not in published.rows[row.published].data:
-            raise NotFoundError(
-                unknown_name("dataset", str(block.published_on), published.rows[row.published].data)
-                + f" of the published row '{row.published}'"
-            )
-    asked: dict[Kind, str | None] = {
-        "tracker": row.tracker,
-        "initialiser": row.initialiser,
-        "filter": row.filter,
-        "keypoints": row.keypoints,
-    }
-    for kind, reference in asked.items():
-        if reference is not None:
-            found = find(kind, reference)
-            for quick in (False, True):
-                configure(found, row.asked(quick).options.get(found.name, {}))
+    own: Any = create_model("TableRow", __base__=(TableRow, row))
+    own.row = row
+    rows: Any = (Annotated[tuple[own, ...], Field(min_length=1)], ...)
+    block: Any = create_model("Block", __base__=Block, rows=rows)
+    blocks: Any = (Annotated[tuple[block, ...], Field(min_length=1)], ...)
+    return create_model("Table", __base__=Table, blocks=blocks)

@@ -2,54 +2,31 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from surgbench.dataset.open import AnyDataset
-from surgbench.report.records import SKIPPED
+from surgbench.dataset.base import Dataset
+from surgbench.records.format import SKIPPED
 from surgbench.reproduce.datasets import MakeDataset, PartRequest, Watcher, provide
-from surgbench.reproduce.table import Block, Definition, Table, TableRow, Timing
-from surgbench.suite.plan import Job, Row, complete
+from surgbench.reproduce.results import RECORDS, TIMING, BlockWork, RowWork
+from surgbench.reproduce.table import Block, Definition, Table, Timing
+from surgbench.suite.asked import RowRequest
+from surgbench.suite.plan import complete
 from surgbench.suite.plan import jobs as plan_jobs
 from surgbench.suite.run import make_plan, probe_output
 from surgbench.suite.run import run as run_plan
-
-RECORDS, TIMING = "records", "timing"
-
-
-@dataclass(frozen=True)
-class RowWork:
-    """One row's runs.
-
-    Attributes:
-        row: The row.
-        settings_hash: Of its settings.
-        jobs: Runs that its errors come from.
-        timing: Runs that its latencies come from; none in a quick run, where the others have to do.
-    """
-
-    row: TableRow
-    settings_hash: str
-    jobs: tuple[Job, ...]
-    timing: tuple[Job, ...]
+from surgbench.suite.running import Run
+from surgbench.suite.settings import Job
+from surgbench.task import find_task
 
 
-@dataclass(frozen=True)
-class BlockWork:
-    """One block's runs, on its dataset."""
-
-    block: Block
-    dataset: AnyDataset
-    rows: tuple[RowWork, ...]
-
-
-def plan_block(table: Table, block: Block, dataset: AnyDataset, quick: bool) -> BlockWork:
+def plan_block(table: Table, block: Block, dataset: Dataset[Any], quick: bool) -> BlockWork:
     """What is to be run for a block.
 
     Raises:
         ConfigError: An option that no plug-in of a row takes, or something that the dataset has not.
     """
+    task = find_task(dataset.task)
     works = []
     for row in block.rows:
         asked = row.asked(quick)
@@ -60,15 +37,17 @@ def plan_block(table: Table, block: Block, dataset: AnyDataset, quick: bool) -> 
         settings = complete(asked, block.protocol, dataset)
         timing: list[Job] = []
         if not quick:
-            timing = plan_jobs(complete(_timed(asked, row.timing or table.timing), block.protocol, dataset), dataset)
+            timing = plan_jobs(
+                complete(_timed(task.timed(asked), row.timing or table.timing), block.protocol, dataset), dataset
+            )
         works.append(RowWork(row, settings.hash, tuple(plan_jobs(settings, dataset)), tuple(timing)))
     return BlockWork(block, dataset, tuple(works))
 
 
-def _timed(asked: Row, timing: Timing) -> Row:
+def _timed(asked: RowRequest, timing: Timing) -> RowRequest:
     runs = min(asked.sequences or timing.runs, timing.runs)
     frames = min(asked.frames or timing.frames, timing.frames)
-    return asked.model_copy(update={"sequences": runs, "frames": frames, "photographs_hz": 0.0})
+    return asked.model_copy(update={"sequences": runs, "frames": frames})
 
 
 def do_work(
@@ -121,5 +100,5 @@ def _run(work: BlockWork, planned: list[Job], out: Path, workers: int, title: st
 
     watcher.say(f"{title}: {len(plan.todo)} runs, {plan.frames} frames; {plan.done} recorded already")
     with watcher.progress(title, plan.frames) as bar:
-        run_plan(plan, work.dataset, out, workers, bar, bar.stage, finished)
+        run_plan(plan, work.dataset, out, workers, Run(bar, bar.stage), finished)
     return failures

@@ -2,29 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from surgbench.report.records import RECORD_FORMAT, SKIPPED
-from surgbench.suite.plan import Job
-
-if TYPE_CHECKING:
-    from surgbench.dataset.open import AnyDataset
+from surgbench.dataset.base import Dataset
+from surgbench.records.format import RECORD_FORMAT, SKIPPED
+from surgbench.suite.settings import Job
 
 
-def skipped(job: Job, dataset: AnyDataset, environment: dict[str, Any], reason: str) -> dict[str, Any]:
-    """The record of a job that this machine cannot run, for ``reason``, one line."""
-    return {
-        **head(job, dataset, environment),
-        "status": SKIPPED,
-        "error": reason,
-        "traceback": None,
-        "initialise_s": None,
-        "frames": {},
-        "errors": {},
-    }
-
-
-def head(job: Job, dataset: AnyDataset, environment: dict[str, Any]) -> dict[str, Any]:
+def head(job: Job, dataset: Dataset[Any], environment: dict[str, Any]) -> dict[str, Any]:
     """What a record says of its job."""
     return {
         "format": RECORD_FORMAT,
@@ -38,4 +23,16 @@ def head(job: Job, dataset: AnyDataset, environment: dict[str, Any]) -> dict[str
         "dataset_path": str(dataset.path.resolve()),
         "dataset_frames": job.dataset_frames,
         "unit_frames": job.frames,
+    }
+
+
+def skipped(reason: str) -> dict[str, Any]:
+    """What a record says of a job that this machine cannot run, for ``reason``, one line."""
+    return {
+        "status": SKIPPED,
+        "error": reason,
+        "traceback": None,
+        "initialise_s": None,
+        "frames": {},
+        "errors": {},
     }

@@ -3,25 +3,21 @@
 from __future__ import annotations
 
 import json
-import threading
 from collections.abc import Callable
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from surgbench.dataset.reader import Dataset
+from surgbench.dataset.base import Dataset
 from surgbench.errors import DatasetError, SurgbenchError
 from surgbench.files import PARTIAL_SUFFIX, canonical_json, write_atomic
-from surgbench.report.records import RECORD_FORMAT, SKIPPED
-from surgbench.suite.child import Child
+from surgbench.records.format import RECORD_FORMAT, SKIPPED
 from surgbench.suite.environment import environment
-from surgbench.suite.execute import execute
-from surgbench.suite.head import skipped
-from surgbench.suite.plan import Job
-
-if TYPE_CHECKING:
-    from surgbench.dataset.open import AnyDataset
+from surgbench.suite.head import head, skipped
+from surgbench.suite.running import Run
+from surgbench.suite.settings import Job
+from surgbench.task import find_task
 
 
 @dataclass(frozen=True)
@@ -116,11 +112,10 @@ def _recorded_status(path: Path, job: Job) -> str | None:
 
 def run(
     plan: Plan,
-    dataset: AnyDataset,
+    dataset: Dataset[Any],
     out: Path,
     workers: int,
-    advance: Callable[[float], None],
-    stage: Callable[[str, float], None],
+    under_way: Run,
     finished: Callable[[dict[str, Any]], None],
 ) -> None:
     """Run the plan's jobs.
@@ -130,52 +125,33 @@ def run(
         dataset: The dataset all jobs are about.
         out: Folder of records.
         workers: Jobs at a time.
-        advance: Called with the frames done since.
-        stage: Called with a description and a fraction while an initialiser works.
+        under_way: Is told how far they are.
         finished: Called with every record once it is written.
 
     Raises:
         SurgbenchError: A record cannot be written, or the dataset is at fault; runs in work are ended.
     """
-    children: set[Child] = set()
-    stopping = threading.Event()
-
-    def written(job: Job, record: dict[str, Any]) -> dict[str, Any]:
-        _write(out / job.path, (canonical_json(record) + "\n").encode())
-        return record
+    task = find_task(dataset.task)
 
     def one(job: Job) -> dict[str, Any] | None:
-        if stopping.is_set():
+        if under_way.stopping:
             return None
-        where = environment(job.settings.protocol.device)
-        unavailable = job.settings.unavailable
-        label = f"{job.settings.row_id} {job.unit.id}: finding the instrument"
-        frames_done = 0.0
-
-        def count(amount: float) -> None:
-            nonlocal frames_done
-            frames_done += amount
-            advance(amount)
-
         try:
+            unavailable = job.settings.unavailable
             if unavailable is not None:
-                return written(job, skipped(job, dataset, where, unavailable))
-            if job.settings.task == "viewpoint":
-                from surgbench.viewpoint.execute import execute_viewpoint
-
-                record = execute_viewpoint(job, dataset, where, count, children, stopping)
+                done = skipped(unavailable)
             else:
-                assert isinstance(dataset, Dataset)
-                record = execute(
-                    job, dataset, where, count, lambda fraction: stage(label, fraction), children, stopping
-                )
-            if stopping.is_set():
-                return None
-            advance(job.frames - frames_done)
-            return written(job, record)
+                part = under_way.part()
+                done = task.execute(job, dataset, part)
+                if under_way.stopping:
+                    return None
+                part.advance(job.frames - part.done)  # what a failed run never reached
+            record = {**head(job, dataset, environment(job.settings.conditions.device)), **done}
+            _write(out / job.path, (canonical_json(record) + "\n").encode())
         except BaseException:
-            stopping.set()  # before this thread takes the next job
+            under_way.stop()  # before this thread takes the next job
             raise
+        return record
 
     with ThreadPoolExecutor(max_workers=workers) as pool:
         waiting: set[Future[dict[str, Any] | None]] = {pool.submit(one, job) for job in plan.todo}
@@ -188,9 +164,8 @@ def run(
                         finished(record)
         except BaseException:
             # Ctrl-C or a fault: what is in work ends now, what is written stays.
-            stopping.set()
+            under_way.stop()
             for future in waiting:
                 future.cancel()
-            for child in list(children):
-                child.kill()
+            under_way.kill()
             raise

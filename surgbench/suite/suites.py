@@ -2,11 +2,29 @@
 
 from __future__ import annotations
 
-from typing import Any
+from functools import cache
+from typing import Annotated, Any
+
+from pydantic import Field, create_model
 
 from surgbench.config import locate, parse_model, parse_value, read_yaml
 from surgbench.errors import ConfigError
-from surgbench.suite.plan import Suite
+from surgbench.suite.asked import Conditions, RowRequest
+from surgbench.suite.plan import any_row
+
+
+class Suite(Conditions):
+    """A suite file: rows and what they share."""
+
+    rows: Annotated[tuple[RowRequest, ...], Field(min_length=1)]
+
+
+@cache
+def _suite() -> type[Suite]:
+    """A suite whose rows may be of any task."""
+    row: Any = any_row()
+    rows: Any = (Annotated[tuple[row, ...], Field(min_length=1)], ...)
+    return create_model("Suite", __base__=Suite, rows=rows)
 
 
 def load_suite(reference: str) -> Suite:
@@ -17,11 +35,11 @@ def load_suite(reference: str) -> Suite:
         ConfigError: An unknown key or a wrong value; one line.
     """
     path = locate("suites", "suite", reference)
-    return parse_model(Suite, read_yaml(path, "suite"), str(path))
+    return parse_model(_suite(), read_yaml(path, "suite"), str(path))
 
 
 def from_command_line(
-    base: Suite | None, trackers: list[str], row: dict[str, Any], sets: list[str], protocol: dict[str, Any]
+    base: Suite | None, trackers: list[str], row: dict[str, Any], sets: list[str], conditions: dict[str, Any]
 ) -> Suite:
     """Rows for the trackers of the command line, or a suite's rows with what the command line overrides.
 
@@ -30,7 +48,7 @@ def from_command_line(
         trackers: References of ``--tracker``.
         row: Settings for every row; ``None`` where the command line says nothing.
         sets: Texts of ``--set``, ``NAME.option=value``.
-        protocol: Seed and the like; ``None`` where the command line says nothing.
+        conditions: Seed and the like; ``None`` where the command line says nothing.
 
     Raises:
         ConfigError: Both or neither of suite and trackers, or a malformed ``--set``.
@@ -45,8 +63,8 @@ def from_command_line(
     else:
         rows = [{**one.model_dump(mode="json"), **given, "options": _merged(one.options, options)} for one in base.rows]
         kept = base.model_dump(mode="json", exclude={"rows"})
-    changed = {key: value for key, value in protocol.items() if value is not None}
-    return parse_model(Suite, {"rows": rows, **kept, **changed}, "command line")
+    changed = {key: value for key, value in conditions.items() if value is not None}
+    return parse_model(_suite(), {"rows": rows, **kept, **changed}, "command line")
 
 
 def parse_sets(sets: list[str]) -> dict[str, dict[str, Any]]:

@@ -8,8 +8,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from surgbench.arm import CLASSIC_420006, Manipulator
 from surgbench.geometry import FloatArray
+from surgbench.instrument.arm import CLASSIC_420006, Manipulator
 from surgbench.viewpoint import kinematics
 
 YAW, PITCH, INSERTION, ROLL, WRIST_PITCH, WRIST_YAW = range(6)

@@ -15,13 +15,13 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from surgbench.errors import DatasetError
+from surgbench.errors import DatasetError, InvalidAnswerError
 from surgbench.geometry import FloatArray, inverse_transform, is_rigid
 from surgbench.viewpoint.camera_arm import CameraArm
 from surgbench.viewpoint.contract import ViewCommand, ViewpointObservation, ViewpointScene
-from surgbench.viewpoint.execution import JointServo
 from surgbench.viewpoint.placement import CONSTRAINTS
 from surgbench.viewpoint.registration import Method, register
+from surgbench.viewpoint.servo import JointServo
 from surgbench.viewpoint.trial import Trial
 from surgbench.viewpoint.workspace import NoGoZone, Workspace
 
@@ -31,7 +31,7 @@ RIGID_TOLERANCE = 1e-4
 REPORT_EVERY = 200
 
 
-class InvalidCommandError(Exception):
+class InvalidCommandError(InvalidAnswerError):
     """A controller returned something that is no command; one line that says what."""
 
 

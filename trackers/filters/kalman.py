@@ -6,8 +6,9 @@ from dataclasses import dataclass
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
+from surgbench.config import Section
 from surgbench.contract import Plugin, Scene
 from surgbench.geometry import FloatArray, wrap_angle
 from surgbench.state import POSITION, STATE_SIZE, clip_joints
@@ -60,10 +61,8 @@ class KalmanFilter(Plugin):
     name: ClassVar[str] = "kalman"
     summary: ClassVar[str] = "constant-velocity Kalman filter, joints clamped to their limits"
 
-    class Config(BaseModel):
+    class Config(Section):
         """Options; factors multiply standard deviations."""
-
-        model_config = ConfigDict(frozen=True, extra="forbid")
 
         noise: Annotated[
             Literal["tuned", "published"], Field(description="ours, or that of the paper's released code")

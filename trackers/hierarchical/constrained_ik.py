@@ -6,30 +6,24 @@ from typing import Annotated, Any, NamedTuple
 
 import nlopt
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
+from surgbench.config import NotNegative, Positive, Section
 from surgbench.geometry import FloatArray
 from surgbench.trackers.hierarchical.cost import evaluate
 from surgbench.viewpoint.camera_arm import CameraArm
 
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
-
-class WeightsConfig(BaseModel):
+class WeightsConfig(Section):
     """Weights of the objective's three terms."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     position: Annotated[NotNegative, Field(description="w1, of the distance to the desired position")] = 15.0
     orientation: Annotated[NotNegative, Field(description="w2, of the view's direction and level")] = 30.0
     distance: Annotated[NotNegative, Field(description="w3, of the distance to the feature")] = 25.0
 
 
-class SolverConfig(BaseModel):
+class SolverConfig(Section):
     """Options of the optimiser; the defaults are the published settings (Table IV)."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     evaluations: Annotated[int, Field(ge=1, description="of the objective, at most")] = 50
     x_tolerance: Annotated[

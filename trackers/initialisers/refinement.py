@@ -12,8 +12,9 @@ from collections.abc import Callable
 from typing import Annotated
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
+from surgbench.config import Count, Section
 from surgbench.contract import Observation, Scene
 from surgbench.geometry import FloatArray, look_at_rotation
 from surgbench.objective import LossWeights
@@ -22,17 +23,13 @@ from surgbench.trackers.initialisers.thickness import ThicknessObjective
 from surgbench.trackers.optimisers.cma import CMA
 from surgbench.trackers.optimisers.cma_settings import published_settings
 
-Count = Annotated[int, Field(ge=1)]
-
 BATCH = 256
 WIDE = 5.0  # first step of refinements that begin at a coarse hypothesis
 SHAFT_SLIP_M = 2e-3  # how well a shaft tells where along it the wrist is
 
 
-class RefinementConfig(BaseModel):
+class RefinementConfig(Section):
     """Options of the refinement, for an initialiser's own options to build on."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     refined: Annotated[Count, Field(description="best hypotheses that are refined")] = 16
     shafts: Annotated[Count, Field(description="best of those, whose roll and joints are drawn anew")] = 2

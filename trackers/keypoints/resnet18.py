@@ -6,8 +6,9 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
+from surgbench.config import Section
 from surgbench.contract import Observation, Plugin, Scene, View
 from surgbench.files import sha256_file
 from surgbench.geometry import FloatArray
@@ -26,10 +27,8 @@ class ResNet18Keypoints(Plugin):
     name: ClassVar[str] = "resnet18"
     summary: ClassVar[str] = "a trained network (ResNet-18, heatmaps) finds the tips in the mask"
 
-    class Config(BaseModel):
+    class Config(Section):
         """Options."""
-
-        model_config = ConfigDict(frozen=True, extra="forbid")
 
         model: Annotated[str, Field(description="a model that comes with the package, or a FILE.safetensors")] = (
             "resnet18"

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.stats import qmc
 
 from surgbench.geometry import FloatArray
-from surgbench.torch_threads import one_thread
+from surgbench.processes.torch_threads import one_thread
 from surgbench.trackers.optimisers.gaussian_process import GaussianProcess
 from surgbench.trackers.optimisers.trust_region import TrustRegion, largest_offset
 

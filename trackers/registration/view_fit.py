@@ -6,9 +6,10 @@ from collections.abc import Sequence
 from typing import Annotated, NamedTuple
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
-from surgbench.change_of_view import ChangeOfView, angle_rates
+from surgbench.camera.change_of_view import ChangeOfView, angle_rates
+from surgbench.config import Positive, Section
 from surgbench.contract import View
 from surgbench.geometry import FloatArray, rigid_transform, rotation_from_vector
 from surgbench.instrument import Instrument
@@ -16,7 +17,6 @@ from surgbench.silhouette import ContourPoints, KeypointProjector, SilhouetteEva
 from surgbench.state import ANGLES, POSITION, STATE_SIZE, split_arms
 from surgbench.trackers.registration.edges import explained_lengths, find_edges, normal_equations
 
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 FEWEST_POINTS = 8
 MEDIAN_TO_SD = 1.4826  # standard deviation over median of absolute deviations, of Gaussian numbers
 MEMORY = 0.9  # of how wrong edges are, from frame to frame
@@ -24,10 +24,8 @@ NARROWING = 0.6  # of the robust width, from one iteration to the next
 EXPLAINED_PX = 2.0
 
 
-class FitConfig(BaseModel):
+class FitConfig(Section):
     """Options of the contour fit."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     iterations: Annotated[int, Field(ge=1, description="Gauss-Newton steps at most")] = 6
     spacing_px: Annotated[int, Field(ge=1, description="rows and columns from one contour point to the next")] = 1

@@ -14,7 +14,7 @@ from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 from surgbench.contract import Mask
 from surgbench.geometry import FloatArray
-from surgbench.torch_threads import one_thread
+from surgbench.processes.torch_threads import one_thread
 from surgbench.trackers.keypoints.heatmaps.network import BasicBlock, HeatmapNetwork, NetworkSettings
 from surgbench.trackers.keypoints.heatmaps.peaks import TIPS, exactly_two, find_peaks
 from surgbench.trackers.keypoints.heatmaps.square import Square, find_square

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from surgbench.errors import SurgbenchError
 from surgbench.geometry import FloatArray
-from surgbench.interruption import without_ctrl_c
-from surgbench.keypoint_accuracy import REFERENCE_WIDTH, is_asked
-from surgbench.labelled import LabelledMasks
+from surgbench.keypoints.accuracy import REFERENCE_WIDTH, is_asked
+from surgbench.keypoints.labelled import LabelledMasks
+from surgbench.processes.interruption import without_ctrl_c
 from surgbench.trackers.keypoints.heatmaps.square import OUTSIDE, find_square
 
 # A patch shows this much more than the square, at this many pixels to one of the network's picture, so that it can be

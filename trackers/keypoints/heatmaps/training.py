@@ -21,11 +21,11 @@ from pydantic import Field
 from torch import Tensor
 from torch.nn import functional
 
-from surgbench.config import Section
+from surgbench.config import Count, Positive, Section
 from surgbench.errors import SurgbenchError
 from surgbench.files import sha256_file, write_atomic
 from surgbench.geometry import FloatArray
-from surgbench.keypoint_accuracy import Accuracy, Outcome, accuracy, pair_errors
+from surgbench.keypoints.accuracy import Accuracy, Outcome, accuracy, pair_errors
 from surgbench.randomness import generator, seed_from
 from surgbench.trackers.keypoints.heatmaps.checkpoint import Progress, keep, resume
 from surgbench.trackers.keypoints.heatmaps.model import WEIGHTS, load_network, save_network
@@ -39,9 +39,6 @@ COLUMNS = (
     "epoch", "learning_rate", "training_loss", "validation_loss", "detected_percent", "median_error_px",
     "p95_error_px", "false_pair_percent", "seconds",
 )  # fmt: skip
-
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-Count = Annotated[int, Field(ge=1)]
 
 
 class TrainingSettings(Section):

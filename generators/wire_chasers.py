@@ -1,0 +1,56 @@
+"""The generator of the viewpoint task's datasets."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, ClassVar
+
+from surgbench.config import locate, parse_model, read_yaml
+from surgbench.contract import Plugin
+from surgbench.errors import ConfigError
+from surgbench.generation import GenerationPlan, GenerationRequest
+from surgbench.generators.wire_chaser.job import WirePlan
+from surgbench.generators.wire_chaser.presets import WireChaser
+
+
+class WireChasers(Plugin):
+    """A ring that a hand leads along a wire, in the workspace of a camera arm."""
+
+    name: ClassVar[str] = "wire-chaser"
+    summary: ClassVar[str] = "a ring led along a wire, in the workspace of a camera arm"
+    task: ClassVar[str] = "viewpoint"
+
+    def plan(self, preset: Path, request: GenerationRequest) -> GenerationPlan:
+        """What a preset makes. Of a part all trials up to the last one are made, whole: they take no time.
+
+        Raises:
+            ConfigError: The file is wrong, or an option has a value that will not do; one line.
+        """
+        if request.corruption is not None:
+            raise ConfigError(f"--corruption: '{preset}' is of the viewpoint task, which has no masks")
+        trials = request.sequences if request.part is None else 1 + max(int(name) for name in request.part[0])
+        plan: GenerationPlan = WirePlan(
+            load_wire_chaser(preset, trials=trials, samples=request.frames, seed=request.seed)
+        )
+        return plan
+
+
+def load_wire_chaser(
+    name_or_path: str | Path, *, trials: int | None = None, samples: int | None = None, seed: int | None = None
+) -> WireChaser:
+    """Load a preset of the viewpoint task and put the given options over it; errors as :meth:`WireChasers.plan`'s."""
+    path = locate("presets", "preset", name_or_path)
+    content = {key: value for key, value in read_yaml(path, "preset").items() if key != "generator"}
+    preset = parse_model(WireChaser, content, str(path))
+    options = (("trials", "--sequences", trials), ("samples", "--frames", samples), ("seed", "--seed", seed))
+    given: dict[str, Any] = {}
+    for key, option, value in options:
+        if value is None:
+            continue
+        given[key] = value
+        # One at a time, so that the message names the option and not the file.
+        try:
+            parse_model(WireChaser, {**content, key: value}, option)
+        except ConfigError as error:
+            raise ConfigError(str(error).replace(f"'{key}': ", "", 1)) from None
+    return parse_model(WireChaser, {**content, **given}, str(path)) if given else preset

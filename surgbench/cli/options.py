@@ -1,0 +1,74 @@
+"""Options of a command that are the fields of a model: what a task's row or a plug-in may be told."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Mapping
+from typing import Annotated, Any
+
+import typer
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+
+Command = Callable[..., Any]
+
+
+def field_options(models: Mapping[type[BaseModel], str], known: type[BaseModel] = BaseModel) -> dict[str, Any]:
+    """Parameters of a command, one for each field; ``None`` stands for what the command line does not say.
+
+    A field's description is the help; a word in capitals at its begin (``NAME:``) stands for the value. What a field
+    keeps under ``json_schema_extra`` may name another ``option``.
+
+    Args:
+        models: Their fields are taken, of two of one name the first; and what the help of each model's begins with.
+        known: Fields that this model has are left out.
+
+    Returns:
+        Field name to annotation.
+    """
+    found: dict[str, Any] = {}
+    for model, prefix in models.items():
+        for name, field in model.model_fields.items():
+            if name not in known.model_fields and name not in found:
+                found[name] = _option(name, field, prefix)
+    return found
+
+
+def _option(name: str, field: FieldInfo, prefix: str) -> Any:
+    extra = field.json_schema_extra if isinstance(field.json_schema_extra, dict) else {}
+    flag = "--" + str(extra.get("option", name.replace("_", "-")))
+    words = field.description or ""
+    first, _, rest = words.partition(" ")
+    metavar = first.rstrip(":") if len(first) > 2 and first.rstrip(":").isupper() else None
+    meaning = rest if metavar else words
+    return Annotated[field.annotation | None, typer.Option(flag, metavar=metavar, help=prefix + meaning)]  # type: ignore[operator]
+
+
+def with_options(command: Command, options: dict[str, Any], into: str, doc: str | None = None) -> Command:
+    """A command that takes further options, which reach it together.
+
+    Args:
+        command: Takes them as the keyword ``into``: field name to value, those that were given.
+        options: From :func:`field_options`.
+        into: A parameter of the command.
+        doc: What it says of itself; the command's own unless told.
+    """
+
+    def call(**arguments: Any) -> Any:
+        given = {name: value for name in options if (value := arguments.pop(name)) is not None}
+        return command(**arguments, **{into: given})
+
+    own = inspect.signature(command, eval_str=True)
+    added = [
+        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=annotation)
+        for name, annotation in options.items()
+    ]
+    kept = [
+        parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY)
+        for name, parameter in own.parameters.items()
+        if name != into
+    ]
+    call.__signature__ = own.replace(parameters=[*kept, *added])  # type: ignore[attr-defined]
+    call.__annotations__ = {parameter.name: parameter.annotation for parameter in (*kept, *added)}
+    call.__name__, call.__doc__ = command.__name__, doc or command.__doc__
+    return call

@@ -1,0 +1,1 @@
+"""Importers and exporters, one file each: other people's formats."""

@@ -1,0 +1,1 @@
+"""An instrument's tips in masks: labelled examples, and how well a source finds them."""

@@ -1,0 +1,1 @@
+"""Child processes: started, talked to, ended; and what goes on inside them."""

@@ -1,0 +1,88 @@
+"""The parent's end of a tracker's child process: start it, talk to it, give up on it."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import subprocess
+import sys
+from multiprocessing.connection import Pipe
+from typing import Any
+
+# One core for every tracker: latencies compare, and results do not depend on the machine's cores.
+ONE_THREAD = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")}
+
+
+class ChildProblemError(Exception):
+    """A run cannot go on.
+
+    Attributes:
+        status: ``failed`` (raised), ``invalid`` (no state), ``timeout`` or ``exited``.
+        traceback: The child's, where there is one.
+    """
+
+    def __init__(self, status: str, message: str, traceback: str | None = None) -> None:
+        super().__init__(message)
+        self.status = status
+        self.traceback = traceback
+
+
+class Child:
+    """A tracker's process. Use it as a context manager: it is gone afterwards, whatever happened.
+
+    Args:
+        timeout_s: The longest silence that is waited for.
+        module: What it runs.
+
+    Attributes:
+        timeout_s: May be changed between messages.
+    """
+
+    def __init__(self, timeout_s: float, module: str) -> None:
+        self.timeout_s = timeout_s
+        self._connection, theirs = Pipe()
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", module, str(theirs.fileno())],
+            pass_fds=[theirs.fileno()],
+            env={**os.environ, **ONE_THREAD},
+        )
+        theirs.close()
+
+    def __enter__(self) -> Child:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+
+    def kill(self) -> None:
+        """End the process at once; another thread that waits for it is told."""
+        self._process.kill()
+
+    def stop(self) -> None:
+        """End the process and hang up."""
+        self._process.kill()
+        self._process.wait()
+        self._connection.close()
+
+    def send(self, *message: Any) -> None:
+        """Tell the child something; a dead child is noticed at the next :meth:`receive`."""
+        with contextlib.suppress(BrokenPipeError, ConnectionResetError):  # receive() says how it died
+            self._connection.send(message)
+
+    def receive(self) -> tuple[Any, ...]:
+        """The child's next message.
+
+        Raises:
+            ChildProblemError: It reports a problem, ended, or said nothing for too long.
+        """
+        try:
+            if not self._connection.poll(self.timeout_s):
+                raise ChildProblemError("timeout", f"no answer within {self.timeout_s:g} s")
+            message: tuple[Any, ...] = self._connection.recv()
+        except (EOFError, OSError):
+            code = self._process.wait()
+            reason = f"killed by signal {-code}" if code < 0 else f"exited with code {code}"
+            raise ChildProblemError("exited", f"the tracker's process {reason}") from None
+        if message[0] == "problem":
+            raise ChildProblemError(*message[1:])
+        return message

@@ -1,0 +1,75 @@
+"""A child process that serves its parent over a pipe: what all of them have in common."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import sys
+import threading
+import time
+import traceback
+from collections.abc import Callable
+from multiprocessing.connection import Connection
+from typing import Any
+
+from surgbench.errors import InvalidAnswerError
+
+WATCH_INTERVAL_S = 1.0
+
+Tell = Callable[..., None]
+# Takes what to send in between, and a message; returns the answer, a tuple.
+Answer = Callable[..., tuple[Any, ...]]
+
+
+def end_with_parent(parent: int) -> None:
+    """End this process when its parent is gone, whatever it is busy with."""
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(WATCH_INTERVAL_S)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+def serve_parent(answer: Answer) -> None:
+    """Serve the parent whose pipe's number is the first argument, as long as it lives.
+
+    Args:
+        answer: As for :func:`serve`.
+    """
+    end_with_parent(os.getppid())
+    # Ctrl-C is the parent's to handle; what a plug-in prints must not end up in the command's output.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    os.dup2(2, 1)
+    serve(Connection(int(sys.argv[1])), answer)
+
+
+def serve(connection: Connection, answer: Answer) -> None:
+    """Answer messages until the other end hangs up, or something goes wrong.
+
+    Whatever a plug-in raises is the run's result: it is told as ``("problem", status, one line, traceback)``, with the
+    status ``invalid`` where it is an :class:`InvalidAnswerError`, else ``failed``.
+
+    Args:
+        connection: To the parent.
+        answer: Takes a function that sends words in between, and a message's parts; returns the answer's.
+    """
+
+    def tell(*words: Any) -> None:
+        connection.send(words)
+
+    while True:
+        try:
+            message = connection.recv()
+        except EOFError:
+            return
+        try:
+            connection.send(answer(tell, *message))
+        except Exception as error:
+            invalid = isinstance(error, InvalidAnswerError)
+            line = " ".join((str(error) if invalid else f"{type(error).__name__}: {error}").split())
+            with contextlib.suppress(OSError):  # the parent may be gone
+                tell("problem", "invalid" if invalid else "failed", line, traceback.format_exc())
+            return

@@ -1,0 +1,1 @@
+"""Records of runs: their format, and how they are read."""

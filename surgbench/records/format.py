@@ -1,0 +1,101 @@
+"""What a record is, whatever the task: one JSON file per tracker, unit and repeat."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, ClassVar
+
+from pydantic import BaseModel, ConfigDict, model_validator
+
+from surgbench.geometry import FloatArray
+
+RECORD_FORMAT = "surgbench-record-1"
+FORMAT_STEM = "surgbench-record-"
+SKIPPED = "skipped"  # the status of a run that the machine lacks something for
+
+Number = float | None
+
+
+class Part(BaseModel):
+    """Base of what a report reads of a record."""
+
+    # Records hold more than a report reads (machine, versions, git state); the rest is not its business.
+    model_config = ConfigDict(frozen=True, extra="ignore", arbitrary_types_allowed=True)
+
+
+class DatasetRef(Part):
+    """Which dataset a run was made on."""
+
+    name: str
+    sha256: str
+
+
+class Plug(Part):
+    """A plug-in and its effective options."""
+
+    name: str
+    options: dict[str, Any] = {}
+
+
+class RecordSpec(Part):
+    """What was run, whatever the task."""
+
+    task: str
+    dataset: DatasetRef
+    unit: str
+    sequence: str
+    row_id: str
+    tracker: Plug
+    repeat: int
+    level: str | float | None = None
+
+
+class Frames(Part):
+    """Per-frame results; all lists have the same length T, in the order the frames were run."""
+
+    index: list[int] = []
+
+    @model_validator(mode="after")
+    def _same_length(self) -> Frames:
+        for key in type(self).model_fields:
+            found = len(getattr(self, key))
+            if found not in (0, len(self.index)):
+                raise ValueError(f"'{key}' has {found} entries but 'index' has {len(self.index)}")
+        return self
+
+
+class Record(Part):
+    """One run of one tracker on one unit.
+
+    Attributes:
+        path: The file it was read from.
+        errors: Error name to ``(T,)`` or ``(T, arms)`` values, NaN where a frame has none; a missing truth
+            leaves the name out.
+        whole: Errors that are not of single frames, but of all of them together.
+        unit_frames: Frames that were asked for.
+        dataset_frames: Frames of all units of the dataset; ``None`` in records of old versions.
+        floor: The filter knew the truth.
+    """
+
+    path: Path
+    spec_hash: str
+    settings_hash: str
+    spec: RecordSpec
+    variant: str = ""
+    status: str
+    error: str | None = None
+    dataset_path: str | None = None
+    unit_frames: int
+    dataset_frames: int | None = None
+    floor: bool = False
+    frames: Frames
+    errors: dict[str, FloatArray]
+
+    whole: ClassVar[tuple[str, ...]] = ()
+
+    @model_validator(mode="after")
+    def _errors_match(self) -> Record:
+        for key, values in self.errors.items():
+            if key not in self.whole and len(values) != len(self.frames.index):
+                raise ValueError(f"'errors.{key}' has {len(values)} entries but 'index' has {len(self.frames.index)}")
+        return self

@@ -1,0 +1,123 @@
+"""Reading records: one JSON file per tracker, unit and repeat, immutable once written."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from pydantic import ValidationError
+
+from surgbench.errors import DatasetError, NotFoundError
+from surgbench.geometry import FloatArray
+from surgbench.records.format import FORMAT_STEM, RECORD_FORMAT, SKIPPED, Record
+from surgbench.task import find_task
+
+R = TypeVar("R", bound=Record)
+
+
+def read_record(path: Path) -> Record | None:
+    """Read one file.
+
+    Args:
+        path: A JSON file.
+
+    Returns:
+        The record, as its task has it, or ``None`` when the file is sound but something else.
+
+    Raises:
+        DatasetError: The file is truncated, is not JSON, or is a record with a wrong or missing key, or of a task that
+            is not known here.
+    """
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise DatasetError(f"{path}: truncated or not JSON ({error}); delete it and run again") from None
+    except OSError as error:
+        raise DatasetError(f"{path}: cannot be read ({error.strerror})") from None
+    found = content.get("format") if isinstance(content, dict) else None
+    if not isinstance(found, str) or not found.startswith(FORMAT_STEM):
+        return None
+    if found != RECORD_FORMAT:
+        raise DatasetError(f"{path}: record format '{found}' is not known here (known: {RECORD_FORMAT})")
+    return parse_record(content, path)
+
+
+def parse_record(content: dict[str, Any], path: Path) -> Record:
+    """A record's content, checked against what its task declares.
+
+    Raises:
+        DatasetError: A key is wrong or missing, or the task is not known here; one line.
+    """
+    spec = content.get("spec")
+    if not isinstance(spec, dict) or not isinstance(spec.get("task"), str):
+        raise DatasetError(f"{path}: 'spec.task' is missing")
+    try:
+        model = find_task(spec["task"]).record
+    except NotFoundError as error:
+        raise DatasetError(f"{path}: {error}") from None
+    try:
+        errors = _error_arrays(content.get("errors") or {})
+        return model.model_validate({**content, "frames": content.get("frames") or {}, "errors": errors, "path": path})
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in first["loc"]) or "record"
+        message = first["msg"].removeprefix("Value error, ")
+        raise DatasetError(f"{path}: '{key}': {message[:1].lower()}{message[1:]}") from None
+    except ValueError as error:
+        raise DatasetError(f"{path}: {error}") from None
+
+
+def _error_arrays(errors: dict[str, Any]) -> dict[str, FloatArray]:
+    arrays = {}
+    for key, values in errors.items():
+        if values is None:
+            continue
+        try:
+            arrays[key] = np.atleast_1d(np.array(values, dtype=np.float64))
+        except (TypeError, ValueError):
+            raise ValueError(f"'errors.{key}' must be numbers, one row per frame") from None
+    return arrays
+
+
+def read_records(directories: Iterable[Path]) -> list[Record]:
+    """All records below some folders, each run once, in a fixed order.
+
+    A run that is there twice (the same ``spec_hash``) counts once: a sound record before a failed one, a failed one
+    before a skipped one, then the one found first, folders in the order given.
+
+    Raises:
+        DatasetError: A folder is missing or has no record, or a file below it is damaged.
+    """
+    chosen: dict[str, Record] = {}
+    for directory in directories:
+        if not directory.is_dir():
+            raise DatasetError(f"{directory}: no such folder of records (make one with: surgbench run … --out DIR)")
+        found = [record for path in sorted(directory.rglob("*.json")) if (record := read_record(path)) is not None]
+        if not found:
+            raise DatasetError(f"{directory}: holds no records (*.json with format {RECORD_FORMAT})")
+        for record in found:
+            known = chosen.get(record.spec_hash)
+            if known is None or _worth(record) < _worth(known):
+                chosen[record.spec_hash] = record
+    return sorted(chosen.values(), key=lambda r: (r.spec.row_id, r.spec.unit, r.spec.repeat, r.spec_hash))
+
+
+def read_records_of(kind: type[R], directories: Iterable[Path]) -> list[R]:
+    """All records below some folders, which have to be of one task; see :func:`read_records`.
+
+    Raises:
+        DatasetError: As there, or a record is of another task.
+    """
+    records = []
+    for record in read_records(directories):
+        if not isinstance(record, kind):
+            raise DatasetError(f"{record.path}: a record of the {record.spec.task} task; expected another one's")
+        records.append(record)
+    return records
+
+
+def _worth(record: Record) -> int:
+    return {"ok": 0, SKIPPED: 2}.get(record.status, 1)

@@ -1,0 +1,30 @@
+"""One row of the leaderboard, whatever the task."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from surgbench.geometry import FloatArray
+from surgbench.records.format import Record
+
+Row = dict[str, Any]
+
+COMMON_COLUMNS = (
+    "row_id", "task", "dataset", "tracker", "variant", "settings_hash", "status", "error", "sequences", "frames",
+    "repeats", "coverage", "latency_ms", "latency_ms_p95", "latency_optimise_ms", "latency_keypoints_ms",
+    "latency_masks_ms", "latency_filter_ms", "calibration_ratio",
+)  # fmt: skip
+
+
+def median(values: FloatArray) -> float | None:
+    """The median; ``None`` of nothing."""
+    return float(np.median(values)) if values.size else None
+
+
+def pooled(records: Sequence[Record], key: str) -> FloatArray:
+    """Values of all frames of some records, without NaN."""
+    values = np.array([value for record in records for value in getattr(record.frames, key)], dtype=np.float64)
+    return values[~np.isnan(values)]

@@ -1,0 +1,28 @@
+"""What is asked of videos and contact sheets."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+SHEET_COLUMNS = 5
+
+
+@dataclass(frozen=True)
+class VideoOptions:
+    """What to draw.
+
+    Attributes:
+        units: Unit ids; empty for all.
+        rows: Row ids; empty for all.
+        columns: Columns of the contact sheet.
+        samples: Draw the candidates of each iteration, too.
+        overlay: Put all trackers into one panel of the video.
+        fps: Of the video; ``None`` for the recording's own.
+    """
+
+    units: tuple[str, ...] = ()
+    rows: tuple[str, ...] = ()
+    columns: int = SHEET_COLUMNS
+    samples: bool = False
+    overlay: bool = False
+    fps: float | None = None

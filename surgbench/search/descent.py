@@ -1,0 +1,90 @@
+"""What the trackers have in common that follow the gradient from the start of each frame."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import Annotated, Literal, Protocol
+
+import numpy as np
+from pydantic import Field
+
+from surgbench.config import Section
+from surgbench.contract import Estimate, InstrumentTracker, Observation, Scene, Trace
+from surgbench.geometry import FloatArray
+from surgbench.objective import LossWeights, Objective
+from surgbench.search.spaces import SearchSpaces
+from surgbench.state import JointLimits, clip_joints
+
+# A joint on its limit has no slope in the search space, and would stay there: keep this share of its range away.
+MARGIN = 1e-6
+
+
+class Descent(Protocol):
+    """One frame's descent.
+
+    Attributes:
+        point: ``(9 * arms,)`` where in the search space it has come to.
+    """
+
+    point: FloatArray
+
+    def tell(self, gradient: FloatArray) -> None:
+        """Take a step, given the gradient at :attr:`point`."""
+        ...
+
+
+class DescentConfig(Section):
+    """Options; the defaults are the published settings."""
+
+    iterations: Annotated[int, Field(ge=1, description="steps a frame")] = 10
+    learning_rate: Annotated[float, Field(gt=0, description="size of a step, in the state's natural steps")] = 0.1
+    estimate: Annotated[
+        Literal["last", "best"], Field(description="where the descent ends, or the least loss on its way")
+    ] = "last"
+    readings_scale: Annotated[
+        float, Field(gt=0, description="factor on the joints' steps where readings are given")
+    ] = 0.1
+    lost_iou: Annotated[float, Field(ge=0, le=1, description="an estimate that overlaps less is lost")] = 0.5
+    loss: LossWeights = LossWeights()
+
+
+class DescentTracker(InstrumentTracker):
+    """Gradient descent in the normalised state, begun anew in each frame."""
+
+    def __init__(self, config: DescentConfig) -> None:
+        self._options = config
+        self.trace: Trace | None = None
+
+    def reset(self, scene: Scene, state: FloatArray, rng: np.random.Generator) -> None:
+        """Prepare the loss and the search spaces."""
+        self._objective = self._differentiable(scene, rng)
+        self._spaces = SearchSpaces(scene, self._options.readings_scale)
+        limits = scene.joint_limits
+        margin = MARGIN * (limits.upper_rad - limits.lower_rad)
+        self._inner = JointLimits(limits.lower_rad + margin, limits.upper_rad - margin)
+
+    @abstractmethod
+    def _differentiable(self, scene: Scene, rng: np.random.Generator) -> Objective:
+        """The loss, and how its gradient is computed."""
+
+    @abstractmethod
+    def _descent(self, start: FloatArray) -> Descent:
+        """A descent that begins at ``start``, ``(9 * arms,)`` of the search space."""
+
+    def step(self, observation: Observation) -> Estimate:
+        """Descend from ``observation.start``."""
+        self._objective.observe(observation)
+        space = self._spaces.of(observation)
+        descent = self._descent(space.encode(clip_joints(observation.start, self._inner)))
+        states = [space.decode(descent.point)]
+        for _ in range(self._options.iterations):
+            gradient = self._objective.gradient(states[-1][None])[0]
+            descent.tell(space.pull_back(descent.point, gradient))
+            states.append(space.decode(descent.point))
+        losses, ious = self._objective(np.array(states))
+        chosen = -1 if self._options.estimate == "last" else int(np.argmin(losses))
+        if self.trace is not None:
+            self.trace.states += [state[None] for state in states]
+            self.trace.losses += [loss[None] for loss in losses]
+        iou = float(ious[chosen])
+        return Estimate(states[chosen], confidence=iou, lost=iou < self._options.lost_iou)

@@ -1,0 +1,223 @@
+"""The seam between the engine and its tasks: all that the engine asks of one.
+
+A task is a folder of ``surgbench.tasks`` with a module ``task.py`` that holds a class derived from :class:`Task`, or
+the same behind an entry point of the group ``surgbench.tasks``. The engine finds it by its name, in child processes
+too, and knows none by name. ``docs/architecture.md`` shows the way of the data through it.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any, ClassVar
+
+from surgbench.conformance.subject import Check
+from surgbench.dataset.base import Dataset
+from surgbench.dataset.manifest import Manifest
+from surgbench.errors import ConfigError, NotFoundError, SurgbenchError, unknown_name
+from surgbench.records.format import Record
+from surgbench.registry import default_task_name, discover
+from surgbench.report.column import Column
+from surgbench.report.row import COMMON_COLUMNS, Row
+from surgbench.report.video_options import VideoOptions
+from surgbench.reproduce.sheet import Sheet
+from surgbench.suite.asked import Conditions, RowRequest
+from surgbench.suite.running import Run
+from surgbench.suite.settings import Job, Settings
+
+Advance = Callable[[float], None]
+
+
+class Task(ABC):
+    """What trackers do on a dataset, and how that is judged.
+
+    Everything that loads much (readers, evaluation, drawing) is imported where it is used, so that a command can look
+    at all tasks before it knows which one it is about.
+
+    Attributes:
+        name: As manifests and rows have it.
+        summary: One line.
+        default: Manifests, trackers and presets that name no task are of this one.
+        parts: Columns that tell apart several rows of one run, and their values in the row that stands for the whole.
+        first_check: The check that a tracker must get through before it is put to the others.
+        may_refuse: Checks that a tracker may answer with a :class:`~surgbench.errors.SurgbenchError`: it does not do
+            this.
+        aids: What a tracker may need to be given in all checks, if it refuses to run without.
+    """
+
+    name: ClassVar[str]
+    summary: ClassVar[str] = ""
+    default: ClassVar[bool] = False
+    parts: ClassVar[Mapping[str, Any]] = {}
+    first_check: ClassVar[str] = ""
+    may_refuse: ClassVar[tuple[str, ...]] = ()
+    aids: ClassVar[tuple[str, ...]] = ()
+
+    # data
+
+    @property
+    @abstractmethod
+    def manifest(self) -> type[Manifest]:
+        """What ``dataset.json`` says."""
+
+    @abstractmethod
+    def open(self, folder: Path, manifest: Any, sha256: str) -> Dataset[Any]:
+        """A dataset whose manifest has been read."""
+
+    @abstractmethod
+    def validate(self, dataset: Any, progress: Advance) -> list[str]:
+        """One line for everything that is wrong with a dataset; ``progress`` takes the number of files checked."""
+
+    # run
+
+    @property
+    def row(self) -> type[RowRequest]:
+        """What a row may ask for."""
+        return RowRequest
+
+    @abstractmethod
+    def complete(self, row: Any, conditions: Conditions, dataset: Any) -> Settings:
+        """Look up everything a row names, check its options, and fill in the defaults.
+
+        Raises:
+            NotFoundError: A name that is not registered.
+            ConfigError: A wrong option, or something that the dataset has not.
+        """
+
+    @abstractmethod
+    def execute(self, job: Job, dataset: Any, run: Run) -> dict[str, Any]:
+        """Run a job in a child process (:meth:`Run.child`) and measure what came of it.
+
+        Returns:
+            What a record holds besides what every record says of its job: ``status``, ``error``, ``traceback``,
+            ``frames``, ``errors``, and whatever else the task's record model has.
+
+        Raises:
+            SurgbenchError: The dataset itself is at fault.
+        """
+
+    def timed(self, row: Any) -> RowRequest:
+        """A row as it is run to measure latencies: without what takes time and changes no latency."""
+        asked: RowRequest = row
+        return asked
+
+    # report
+
+    @property
+    def record(self) -> type[Record]:
+        """What is read of a record."""
+        return Record
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Of the leaderboard, in order."""
+        return COMMON_COLUMNS
+
+    @property
+    @abstractmethod
+    def shown(self) -> tuple[Column, ...]:
+        """Columns that tables are read by, in order."""
+
+    @abstractmethod
+    def rows(self, head: Row, records: list[Any]) -> list[Row]:
+        """The rows of one row id and settings.
+
+        Args:
+            head: The columns that rows of every task have.
+            records: All of them, ordered by unit and repeat.
+        """
+
+    def group(self, record: Any) -> str:
+        """Which of the rows of one row id and settings a record belongs to; in the order of these texts."""
+        return ""
+
+    def title(self, row: Row) -> str:
+        """What stands over the rows of a dataset and group."""
+        return self.name
+
+    @abstractmethod
+    def rank(self, row: Row) -> float | None:
+        """What rows are ranked by, less is better."""
+
+    def on_page(self, row: Row) -> bool:
+        """Whether a row stands in a Markdown table, or in files only."""
+        return self.is_whole(row)
+
+    def is_whole(self, row: Row) -> bool:
+        """Whether a row stands for a whole run, and not for a part of it."""
+        return all(row.get(column) == value for column, value in self.parts.items())
+
+    @property
+    def sheet(self) -> Sheet:
+        """Its part in reproduced tables.
+
+        Raises:
+            ConfigError: It has none.
+        """
+        raise ConfigError(f"the {self.name} task has no reproduced tables")
+
+    # view
+
+    def draw(
+        self,
+        records: Sequence[Any],
+        options: VideoOptions,
+        dataset: Path | None,
+        out: Path,
+        progress: Callable[[str, float], Any],
+    ) -> list[Path]:
+        """Videos and pictures of runs.
+
+        Args:
+            records: Of one or more rows and units.
+            options: What to draw.
+            dataset: Where the dataset is, if not where the records say.
+            out: Folder.
+            progress: Takes a description and the number of frames to draw; a context manager that gives what takes the
+                number of frames just drawn.
+
+        Returns:
+            The files written.
+        """
+        raise SurgbenchError(f"runs of the {self.name} task have no video")
+
+    # conformance
+
+    def checks(self) -> Mapping[str, Check]:
+        """By name, what a tracker is put to; each says in its docstring what it is about."""
+        return {}
+
+
+@cache
+def find_task(name: str) -> Task:
+    """The task of this name.
+
+    Raises:
+        NotFoundError: There is none.
+        ConfigError: It cannot be loaded.
+    """
+    found = discover("task").get(name)
+    if found is None:
+        raise NotFoundError(unknown_name("task", name, task_names()))
+    if found.cls is None:
+        raise ConfigError(f"task '{name}' ({found.source}) cannot be loaded: {found.problem}")
+    task: Task = found.cls()
+    return task
+
+
+def task_names() -> tuple[str, ...]:
+    """The names of all tasks, the default one first."""
+    names = discover("task")
+    return tuple(sorted(names, key=lambda name: (name != default_task_name(), name)))
+
+
+def default_task() -> Task:
+    """The task of what names none."""
+    return find_task(default_task_name())
+
+
+def all_tasks() -> tuple[Task, ...]:
+    """All tasks, the default one first."""
+    return tuple(find_task(name) for name in task_names())

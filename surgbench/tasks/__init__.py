@@ -1,0 +1,1 @@
+"""The tasks: each folder is one, found by its name."""

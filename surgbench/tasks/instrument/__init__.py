@@ -1,0 +1,1 @@
+"""The state of one or two instruments in every frame of a mask sequence."""

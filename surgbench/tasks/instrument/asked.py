@@ -1,0 +1,39 @@
+"""What a row of the instrument task may ask for."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from surgbench.suite.asked import RowRequest
+
+Readings = Literal["none", "noisy", "true"]
+
+
+class InstrumentRow(RowRequest):
+    """A row of the instrument task.
+
+    Attributes:
+        row_id: Unless told the tracker's name, with ``-joints`` where it reads joints, and with the view where it has
+            one.
+        initialiser: ``truth`` where the dataset has it, else ``random``, unless told.
+        filter: State filter.
+        keypoints: Keypoint source; unless told ``resnet18``, which finds the tips in the mask, but for rows with
+            readings on data that holds tips ``observed``.
+        readings: Which joint readings the tracker is given.
+        view: Auxiliary view that the tracker is given besides the endoscope's.
+    """
+
+    initialiser: Annotated[
+        str | None,
+        Field(description="NAME: default: truth where there is any, else random."),
+    ] = None
+    filter: Annotated[str, Field(description="NAME: default: kalman.")] = "kalman"
+    keypoints: Annotated[
+        str | None, Field(description="NAME: keypoint source; default: resnet18, with joint readings observed.")
+    ] = None
+    readings: Annotated[Readings, Field(description="Which joint readings trackers are given.")] = "none"
+    view: Annotated[
+        str | None, Field(description="NAME: auxiliary view that trackers see besides the endoscope's.")
+    ] = None

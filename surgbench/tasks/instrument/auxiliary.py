@@ -1,0 +1,143 @@
+"""Reading a sequence's auxiliary views: what further cameras see, and where they are."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from surgbench.camera import Camera
+from surgbench.dataset import tables
+from surgbench.dataset.manifest import observations_path
+from surgbench.dataset.masks import Mask, read_bytes, read_mask
+from surgbench.errors import DatasetError, unknown_name
+from surgbench.geometry import FloatArray, rigid_transform, rotation_from_vector
+from surgbench.tasks.instrument.format import (
+    ARMS,
+    Arm,
+    AuxiliaryEntry,
+    clean_mask_path,
+    observed_path,
+    poses_path,
+    view_folder,
+)
+from surgbench.tasks.instrument.tables import KEYPOINT_COLUMNS, VIEW_COLUMNS, arm_columns
+
+
+class AuxiliaryView:
+    """A further camera of a sequence. Masks are read when asked for; tables once.
+
+    Args:
+        root: The dataset's folder.
+        sequence: The sequence's id.
+        name: Of the view.
+        entry: Its part of the manifest.
+        camera: Its camera.
+        frames: Of the sequence.
+        truth: Whether the sequence has ground truth.
+    """
+
+    def __init__(
+        self, root: Path, sequence: str, name: str, entry: AuxiliaryEntry, camera: Camera, frames: int, truth: bool
+    ) -> None:
+        self.root, self.name, self.entry, self.camera, self.frames = root, name, entry, camera, frames
+        self._folder = view_folder(sequence, name)
+        self._truth = truth
+
+    def mask(self, kind: str, frame: int) -> Mask:
+        """The mask a tracker sees, ``(height, width)`` bool.
+
+        Raises:
+            DatasetError: There is no such kind or frame, or the file is missing, truncated, or of a wrong size.
+        """
+        self._check(kind, frame)
+        return read_mask(self.root / observed_path(self._folder, kind, frame), self.camera.width, self.camera.height)
+
+    def clean_mask(self, kind: str, frame: int) -> Mask:
+        """The rendered mask before corruption, ``(height, width)`` bool.
+
+        Raises:
+            DatasetError: The sequence has no truth, or as for :meth:`mask`.
+        """
+        self._check_truth()
+        self._check(kind, frame)
+        return read_mask(self.root / clean_mask_path(self._folder, kind, frame), self.camera.width, self.camera.height)
+
+    def keypoints(self, kind: str, arm: Arm) -> FloatArray:
+        """``(frames, 2, 2)`` tip pixels (u, v) in no particular order; NaN where a tip was not seen.
+
+        Args:
+            kind: Of the masks that the tips belong to: each kind may be seen from a pose of its own.
+            arm: One that the kind shows.
+        """
+        self._check(kind, 0)
+        if not self.entry.keypoints:
+            return np.full((self.frames, 2, 2), np.nan)
+        return tables.stack(self._observations, keypoint_columns(kind, arm)).reshape(-1, 2, 2)
+
+    def T_view_cam(self, kind: str) -> FloatArray:  # noqa: N802
+        """``(frames, 4, 4)`` from the sequence's camera to this one as it is reported, errors included."""
+        self._check(kind, 0)
+        return _transforms(self._observations, kind)
+
+    def true_T_view_cam(self, kind: str) -> FloatArray:  # noqa: N802
+        """The same as it is.
+
+        Raises:
+            DatasetError: The sequence has no truth.
+        """
+        self._check_truth()
+        self._check(kind, 0)
+        return _transforms(self._poses, kind)
+
+    @cached_property
+    def _observations(self) -> dict[str, FloatArray]:
+        path = self.root / observations_path(self._folder)
+        return tables.decode_table(read_bytes(path), str(path), self.frames, auxiliary_columns(self.entry))
+
+    @cached_property
+    def _poses(self) -> dict[str, FloatArray]:
+        path = self.root / poses_path(self._folder)
+        return tables.decode_table(read_bytes(path), str(path), self.frames, pose_columns(self.entry))
+
+    def _check(self, kind: str, frame: int) -> None:
+        if kind not in self.entry.kinds:
+            problem = unknown_name("mask kind", kind, self.entry.kinds)
+            raise DatasetError(f"{self.root}: auxiliary view '{self.name}': {problem}")
+        if not 0 <= frame < self.frames:
+            raise DatasetError(
+                f"{self.root}: auxiliary view '{self.name}' has frames 0 to {self.frames - 1}, not {frame}"
+            )
+
+    def _check_truth(self) -> None:
+        if not self._truth:
+            raise DatasetError(f"{self.root}: auxiliary view '{self.name}' has no ground truth")
+
+
+def _transforms(values: dict[str, FloatArray], kind: str) -> FloatArray:
+    poses = tables.stack(values, arm_columns(kind, VIEW_COLUMNS))
+    return rigid_transform(rotation_from_vector(poses[:, :3]), poses[:, 3:])
+
+
+def pose_columns(entry: AuxiliaryEntry) -> list[str]:
+    """Columns that an auxiliary view's ``poses.parquet`` has besides ``frame``."""
+    return [column for kind in entry.kinds for column in arm_columns(kind, VIEW_COLUMNS)]
+
+
+def kind_arms(kind: str) -> tuple[Arm, ...]:
+    """The arms that a kind of mask shows."""
+    return ARMS if kind == "both" else tuple(arm for arm in ARMS if kind.endswith(arm))
+
+
+def keypoint_columns(kind: str, arm: Arm) -> list[str]:
+    """Columns of one arm's tips as they are seen with one kind of mask."""
+    return arm_columns(f"both_{arm}" if kind == "both" else kind, KEYPOINT_COLUMNS)
+
+
+def auxiliary_columns(entry: AuxiliaryEntry) -> list[str]:
+    """Columns that an auxiliary view's ``observations.parquet`` has besides ``frame``."""
+    columns = pose_columns(entry)
+    if entry.keypoints:
+        columns += [column for kind in entry.kinds for arm in kind_arms(kind) for column in keypoint_columns(kind, arm)]
+    return columns

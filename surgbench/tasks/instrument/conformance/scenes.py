@@ -1,0 +1,146 @@
+"""Short synthetic sequences with everything that an observation may hold."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from surgbench.camera import Camera
+from surgbench.conformance.subject import Subject
+from surgbench.contract import Mask, Observation, Scene, View
+from surgbench.geometry import FloatArray, look_at_rotation
+from surgbench.instrument import Instrument, load_instrument
+from surgbench.silhouette import SilhouetteEvaluator
+from surgbench.state import ANGLES, JOINTS, POSITION, split_arms
+
+FRAMES = 6
+# A quarter of the paper's camera, so that hundreds of steps take seconds.
+CAMERA = Camera(width=175, height=123, fx=226.5, fy=226.2, cx=73.2, cy=59.3)
+INSTRUMENT = "large_needle_driver"
+DT_S = 1 / 30
+# What some trackers refuse to run without.
+KINEMATICS = "kinematics"
+READING_ERROR_RAD = np.array([0.01, -0.02, 0.01])
+
+_ALONE = np.array([0.3, 0.4, 0.8, 0.0, 0.0, 0.13, 0.3, -0.2, 0.3])
+_ELSEWHERE = np.array([0.2, 2.0, -0.7, 0.01, 0.005, 0.14, -0.4, 0.3, 0.5])
+_LEFT, _RIGHT = _ALONE.copy(), _ALONE.copy()
+_LEFT[[2, 3]], _RIGHT[[2, 3]] = [0.8, -0.02], [-0.8, 0.025]
+_MOTION_PER_FRAME = np.array([0.005, 0.01, 0.005, 4e-4, 3e-4, 2e-4, 0.02, 0.01, 0.0])
+
+
+@dataclass(frozen=True)
+class Play:
+    """A sequence to run a tracker on.
+
+    Attributes:
+        scene: Its constants.
+        observations: Its frames; their ``start`` is the true state of the first.
+        truth: ``(T, 9 * arms)`` true states.
+    """
+
+    scene: Scene
+    observations: tuple[Observation, ...]
+    truth: FloatArray
+
+    def with_masks(self, masks: dict[int, Mask]) -> Play:
+        """Some frames with another mask, and no tips."""
+        frames = [
+            replace(
+                frame, views=(replace(frame.views[0], mask=masks[frame.index], keypoints=(None,) * self.scene.arms),)
+            )
+            if frame.index in masks
+            else frame
+            for frame in self.observations
+        ]
+        return replace(self, observations=tuple(frames))
+
+
+@cache
+def instrument() -> Instrument:
+    """The instrument that all plays show."""
+    return load_instrument(INSTRUMENT)
+
+
+@cache
+def evaluator(arms: int) -> SilhouetteEvaluator:
+    """Paints the masks, and says how well an estimate covers one."""
+    return SilhouetteEvaluator((instrument(),) * arms, CAMERA)
+
+
+def make_play(
+    *,
+    arms: int = 1,
+    readings: bool = False,
+    kinematics: bool = False,
+    keypoints: bool = True,
+    elsewhere: bool = False,
+    frames: int = FRAMES,
+) -> Play:
+    """An instrument, or two, in slow steady motion.
+
+    Args:
+        arms: 1 or 2.
+        readings: With joint readings, which are off by a constant.
+        kinematics: With the arms' own readings of their tool pose, and with joint readings, without which there
+            are none.
+        keypoints: With the tips.
+        elsewhere: Another sequence: one arm begins at another place.
+        frames: How many.
+
+    Returns:
+        Arrays that nobody else holds.
+    """
+    first = np.concatenate([_LEFT, _RIGHT]) if arms == 2 else _ELSEWHERE if elsewhere else _ALONE
+    truth = first + np.arange(frames)[:, None] * np.tile(_MOTION_PER_FRAME, arms)
+    empty = np.zeros((CAMERA.height, CAMERA.width), dtype=bool)
+    scene = Scene(
+        instruments=(instrument(),) * arms,
+        views=(View(CAMERA, np.eye(4), empty, keypoints=(None,) * arms),),
+        limits=(instrument().search_limits,) * arms,
+        dt_s=DT_S,
+        arms=arms,
+        T_cam_base=_bases(arms) if kinematics else None,
+    )
+    observations = [_observe(scene, truth, frame, readings or kinematics, keypoints) for frame in range(frames)]
+    return Play(scene, tuple(observations), truth)
+
+
+def play_of(subject: Subject, *, readings: bool = False, kinematics: bool = False, **how: Any) -> Play:
+    """A sequence as :func:`make_play` makes it, with the kinematics that the tracker may need."""
+    return make_play(readings=readings, kinematics=kinematics or KINEMATICS in subject.aids, **how)
+
+
+def _observe(scene: Scene, truth: FloatArray, frame: int, readings: bool, keypoints: bool) -> Observation:
+    per_arm = split_arms(truth[frame])
+    tips = [CAMERA.project(instrument().tips_cam(state)) for state in per_arm]
+    mask = evaluator(scene.arms).mask(truth[frame])
+    joints = scene.joint_limits.clip(per_arm[:, JOINTS] + READING_ERROR_RAD)
+    return Observation(
+        index=frame,
+        timestamp_s=frame * scene.dt_s,
+        views=(View(CAMERA, np.eye(4), mask, keypoints=tuple(tips) if keypoints else (None,) * scene.arms),),
+        start=truth[0].copy(),
+        joints=(joints[0] if scene.arms == 1 else joints) if readings else None,
+        kinematics=None if scene.T_cam_base is None else np.linalg.inv(scene.T_cam_base) @ _tool_poses(per_arm),
+    )
+
+
+def _tool_poses(states: FloatArray) -> FloatArray:
+    """``(arms, 4, 4)`` T_cam_tool of ``(arms, 9)`` states."""
+    poses = np.tile(np.eye(4), (len(states), 1, 1))
+    poses[:, :3, :3] = look_at_rotation(states[:, ANGLES])
+    poses[:, :3, 3] = states[:, POSITION]
+    return poses
+
+
+def _bases(arms: int) -> FloatArray:
+    """``(arms, 4, 4)`` T_cam_base: a hand's breadth to the sides of the camera, turned towards the picture."""
+    bases = np.tile(np.eye(4), (arms, 1, 1))
+    for base, side in zip(bases, (-1.0, 1.0), strict=False):
+        base[:3, :3] = look_at_rotation(np.array([-0.3, 0.2, 0.4 * side]))
+        base[:3, 3] = 0.12 * side, -0.05, 0.05
+    return bases

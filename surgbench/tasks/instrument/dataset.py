@@ -1,0 +1,307 @@
+"""Reading datasets: sequences of observations, their truth, and the units that trackers run on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surgbench.camera import Camera
+from surgbench.dataset import tables
+from surgbench.dataset.base import Dataset
+from surgbench.dataset.manifest import observations_path
+from surgbench.dataset.masks import Mask, read_bytes, read_image, read_mask
+from surgbench.errors import DatasetError, unknown_name
+from surgbench.geometry import FloatArray, rigid_transform, rotation_from_vector
+from surgbench.instrument import Instrument, load_instrument
+from surgbench.tasks.instrument.auxiliary import AuxiliaryView
+from surgbench.tasks.instrument.format import (
+    IMAGE_KIND,
+    Arm,
+    InstrumentManifest,
+    SequenceEntry,
+    clean_mask_path,
+    observed_path,
+    states_path,
+)
+from surgbench.tasks.instrument.tables import (
+    KEYPOINT_COLUMNS,
+    KINEMATICS_COLUMNS,
+    READING_COLUMNS,
+    STATE_COLUMNS,
+    arm_columns,
+)
+
+
+@dataclass(frozen=True)
+class Unit:
+    """What one run of a tracker is about: one arm of a sequence, or its pair.
+
+    Attributes:
+        id: ``000-left``, ``000-right``, or the sequence's own id for a pair or a sequence with one arm.
+        sequence: The sequence's id.
+        arms: Arms in the state's order.
+        kind: Which masks show exactly these arms.
+    """
+
+    id: str
+    sequence: str
+    arms: tuple[Arm, ...]
+    kind: str
+
+    def spec(self) -> dict[str, Any]:
+        """What a record's specification says of it beside its id and sequence."""
+        return {"arms": list(self.arms), "mask_kind": self.kind}
+
+
+class Sequence:
+    """One sequence of a dataset. Masks and images are read when asked for; tables once.
+
+    Args:
+        root: The dataset's folder.
+        entry: Its part of the manifest.
+        cameras: All of the dataset's.
+    """
+
+    def __init__(self, root: Path, entry: SequenceEntry, cameras: dict[str, Camera]) -> None:
+        self.root = root
+        self.entry = entry
+        self.camera = cameras[entry.camera]
+        self._auxiliary = {
+            name: AuxiliaryView(root, entry.id, name, view, cameras[view.camera], entry.frames, entry.truth)
+            for name, view in entry.auxiliary.items()
+        }
+
+    @property
+    def id(self) -> str:
+        """The sequence's id."""
+        return self.entry.id
+
+    @property
+    def frames(self) -> int:
+        """Number of frames."""
+        return self.entry.frames
+
+    @property
+    def dt_s(self) -> float:
+        """Seconds between frames."""
+        return self.entry.dt_s
+
+    @property
+    def speed(self) -> str:
+        """``nominal`` or ``fast``."""
+        return self.entry.speed
+
+    @property
+    def arms(self) -> tuple[Arm, ...]:
+        """The arms in the picture, left before right."""
+        return self.entry.arms
+
+    def mask(self, kind: str, frame: int) -> Mask:
+        """The mask a tracker sees, ``(height, width)`` bool.
+
+        Raises:
+            DatasetError: There is no such kind or frame, or the file is missing, truncated, or of a wrong size.
+        """
+        self._check(kind, frame)
+        return self._read_mask(observed_path(self.id, kind, frame))
+
+    def clean_mask(self, kind: str, frame: int) -> Mask:
+        """The rendered mask before corruption, ``(height, width)`` bool.
+
+        Raises:
+            DatasetError: The sequence has no truth, or as for :meth:`mask`.
+        """
+        if not self.entry.truth:
+            raise DatasetError(f"{self.root}: sequence '{self.id}' has no ground truth")
+        self._check(kind, frame)
+        return self._read_mask(clean_mask_path(self.id, kind, frame))
+
+    def image(self, frame: int) -> NDArray[np.uint8] | None:
+        """The camera's image, ``(height, width, 3)`` uint8 RGB; ``None`` where there are no images."""
+        path = self.image_path(frame)
+        return None if path is None else read_image(path, self.camera.width, self.camera.height)
+
+    def image_path(self, frame: int) -> Path | None:
+        """Where a frame's image lies; ``None`` where there are no images."""
+        if not self.entry.images:
+            return None
+        self._check(None, frame)
+        return (self.root / observed_path(self.id, IMAGE_KIND, frame)).resolve()
+
+    def auxiliary(self, name: str) -> AuxiliaryView:
+        """One of the sequence's auxiliary views.
+
+        Raises:
+            DatasetError: There is none of this name.
+        """
+        if name not in self._auxiliary:
+            problem = unknown_name("auxiliary view", name, self._auxiliary)
+            raise DatasetError(f"{self.root}: sequence '{self.id}': {problem}")
+        return self._auxiliary[name]
+
+    @cached_property
+    def timestamps_s(self) -> FloatArray:
+        """``(frames,)`` seconds since the first frame."""
+        return self._observations[tables.TIMESTAMP]
+
+    def keypoints(self, arm: Arm) -> FloatArray:
+        """``(frames, 2, 2)`` tip pixels (u, v) in no particular order; NaN where a tip was not seen."""
+        self._check_arm(arm)
+        if not self.entry.keypoints:
+            return np.full((self.frames, 2, 2), np.nan)
+        columns = arm_columns(arm, KEYPOINT_COLUMNS)
+        return tables.stack(self._observations, columns).reshape(-1, 2, 2)
+
+    def readings(self, arm: Arm) -> FloatArray | None:
+        """``(frames, 3)`` raw joint readings, NaN where one is missing; ``None`` if the sequence has none."""
+        self._check_arm(arm)
+        if not self.entry.readings:
+            return None
+        return tables.stack(self._observations, arm_columns(arm, READING_COLUMNS))
+
+    def kinematics(self, arm: Arm) -> FloatArray | None:
+        """``(frames, 4, 4)`` the robot's own readings of T_base_tool, NaN where one is missing.
+
+        ``None`` if the sequence has none. The base is that of :meth:`T_cam_base`.
+        """
+        self._check_arm(arm)
+        if not self.entry.T_cam_base:
+            return None
+        poses = tables.stack(self._observations, arm_columns(arm, KINEMATICS_COLUMNS))
+        transforms = rigid_transform(rotation_from_vector(poses[:, :3]), poses[:, 3:])
+        transforms[np.isnan(poses).any(axis=1)] = np.nan
+        return transforms
+
+    def T_cam_base(self, arm: Arm) -> FloatArray | None:  # noqa: N802
+        """``(4, 4)`` nominal place of the arm's base in the camera frame; ``None`` if there are no kinematics."""
+        self._check_arm(arm)
+        numbers = self.entry.T_cam_base.get(arm)
+        return None if numbers is None else np.reshape(numbers, (4, 4)).astype(np.float64)
+
+    def states(self, arm: Arm) -> FloatArray | None:
+        """``(frames, 9)`` true states; ``None`` if the sequence has no truth."""
+        self._check_arm(arm)
+        if not self.entry.truth:
+            return None
+        return tables.stack(self._states, arm_columns(arm, STATE_COLUMNS))
+
+    @cached_property
+    def _observations(self) -> dict[str, FloatArray]:
+        path = self.root / observations_path(self.id)
+        return tables.decode_table(read_bytes(path), str(path), self.frames, observation_columns(self.entry))
+
+    @cached_property
+    def _states(self) -> dict[str, FloatArray]:
+        path = self.root / states_path(self.id)
+        return tables.decode_table(read_bytes(path), str(path), self.frames, state_columns(self.entry))
+
+    def _read_mask(self, relative: str) -> Mask:
+        return read_mask(self.root / relative, self.camera.width, self.camera.height)
+
+    def _check(self, kind: str | None, frame: int) -> None:
+        if kind is not None and kind not in self.entry.kinds:
+            raise DatasetError(
+                f"{self.root}: sequence '{self.id}': {unknown_name('mask kind', kind, self.entry.kinds)}"
+            )
+        if not 0 <= frame < self.frames:
+            raise DatasetError(f"{self.root}: sequence '{self.id}' has frames 0 to {self.frames - 1}, not {frame}")
+
+    def _check_arm(self, arm: str) -> None:
+        if arm not in self.arms:
+            raise DatasetError(f"{self.root}: sequence '{self.id}': {unknown_name('arm', arm, self.arms)}")
+
+
+def observation_columns(entry: SequenceEntry) -> list[str]:
+    """Columns that a sequence's ``observations.parquet`` has besides ``frame``."""
+    columns = [tables.TIMESTAMP]
+    for arm in entry.arms:
+        if entry.keypoints:
+            columns += arm_columns(arm, KEYPOINT_COLUMNS)
+        if entry.readings:
+            columns += arm_columns(arm, READING_COLUMNS)
+        if entry.T_cam_base:
+            columns += arm_columns(arm, KINEMATICS_COLUMNS)
+    return columns
+
+
+def state_columns(entry: SequenceEntry) -> list[str]:
+    """Columns that a sequence's ``states.parquet`` has besides ``frame``."""
+    return [column for arm in entry.arms for column in arm_columns(arm, STATE_COLUMNS)]
+
+
+class InstrumentDataset(Dataset[InstrumentManifest]):
+    """A dataset of the instrument task on disk.
+
+    Attributes:
+        sequences: In the manifest's order.
+    """
+
+    task: ClassVar[str] = "instrument"
+
+    def __init__(self, path: Path, manifest: InstrumentManifest, hash_: str) -> None:
+        super().__init__(path, manifest, hash_)
+        self.sequences = tuple(Sequence(path, entry, manifest.cameras) for entry in manifest.sequences)
+
+    def length(self, sequence: str) -> int:
+        """Number of frames of a sequence."""
+        return self.sequence(sequence).frames
+
+    def sequence(self, sequence_id: str) -> Sequence:
+        """The sequence with this id.
+
+        Raises:
+            DatasetError: There is none.
+        """
+        for sequence in self.sequences:
+            if sequence.id == sequence_id:
+                return sequence
+        raise DatasetError(f"{self.path}: {unknown_name('sequence', sequence_id, [s.id for s in self.sequences])}")
+
+    def instrument(self, name: str) -> Instrument:
+        """One of the dataset's instruments, from the files in its folder.
+
+        Raises:
+            DatasetError: The dataset has no such instrument.
+            SurgbenchError: Its file is wrong.
+        """
+        if name not in self._instruments:
+            if name not in self.manifest.instruments:
+                raise DatasetError(f"{self.path}: {unknown_name('instrument', name, self.manifest.instruments)}")
+            self._instruments[name] = load_instrument(self.path / self.manifest.instruments[name])
+        return self._instruments[name]
+
+    @cached_property
+    def _instruments(self) -> dict[str, Instrument]:
+        return {}
+
+    def units(self, arms: Literal["single", "dual"] = "single") -> tuple[Unit, ...]:
+        """What a tracker runs on, in order.
+
+        Args:
+            arms: ``single``: every arm is a sequence of its own, its mask rendered alone. ``dual``: the pair in one
+                mask.
+
+        Raises:
+            DatasetError: Nothing in the dataset can be run that way.
+        """
+        units: list[Unit] = []
+        for sequence in self.sequences:
+            entry = sequence.entry
+            if arms == "dual" and len(entry.arms) == 2 and "both" in entry.kinds:
+                units.append(Unit(entry.id, entry.id, entry.arms, "both"))
+            elif arms == "single":
+                alone = [arm for arm in entry.arms if arm in entry.kinds]
+                units += [
+                    Unit(entry.id if len(entry.arms) == 1 else f"{entry.id}-{arm}", entry.id, (arm,), arm)
+                    for arm in alone
+                ]
+        if not units:
+            need = "two arms in one mask ('both')" if arms == "dual" else "a mask of one arm alone"
+            other = "single" if arms == "dual" else "dual"
+            raise DatasetError(f"{self.path}: no sequence has {need}; try --arms {other}")
+        return tuple(units)

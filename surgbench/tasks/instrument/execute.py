@@ -1,0 +1,176 @@
+"""One run of an instrument tracker from its job to its record."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from surgbench import metrics
+from surgbench.contract import Mask, Observation, Scene
+from surgbench.geometry import FloatArray
+from surgbench.processes.child import Child, ChildProblemError
+from surgbench.silhouette import Reference, SilhouetteEvaluator
+from surgbench.state import POSITION, STATE_SIZE
+from surgbench.suite.running import Run
+from surgbench.suite.settings import Job, Plug
+from surgbench.tasks.instrument.dataset import InstrumentDataset, Unit
+from surgbench.tasks.instrument.plan import InstrumentSettings
+from surgbench.tasks.instrument.records import ANSWER_COLUMNS
+from surgbench.tasks.instrument.units import UnitData
+from surgbench.tasks.instrument.worker import Answer, Setup
+
+WORKER = "surgbench.tasks.instrument.worker"
+
+
+def own_settings(job: Job) -> InstrumentSettings:
+    """The job's settings, which must be of this task."""
+    assert isinstance(job.settings, InstrumentSettings)
+    return job.settings
+
+
+def unit_data(job: Job, dataset: InstrumentDataset) -> UnitData:
+    """The frames of a job's unit."""
+    assert isinstance(job.unit, Unit)
+    return UnitData(dataset, job.unit, own_settings(job).readings, own_settings(job).view)
+
+
+def child_setup(job: Job, scene: Scene) -> Setup:
+    """What the child of a job is told before the first frame."""
+    settings = own_settings(job)
+    # The dataset's name and not its hash, so that a part of it is run with the same random numbers.
+    axes: dict[str, str | int] = {
+        "seed": settings.conditions.seed,
+        "dataset": job.dataset_name,
+        "unit": job.unit.id,
+        "repeat": job.repeat,
+    }
+
+    def own(plug: Plug) -> dict[str, str | int]:
+        return {**axes, plug.kind: plug.name}
+
+    return Setup(
+        settings.tracker,
+        settings.initialiser,
+        settings.filter,
+        settings.keypoints,
+        replace(scene, device=settings.conditions.device),
+        own(settings.tracker),
+        own(settings.initialiser),
+    )
+
+
+def true_states(job: Job, data: UnitData) -> FloatArray | None:
+    """What a filter with ``needs_truth`` is given, ``(T, 9 * arms)``; ``None`` for any other."""
+    if data.truth is None or not own_settings(job).filter.needs_truth:
+        return None
+    return data.truth.reshape(data.frames, -1)
+
+
+def execute(job: Job, dataset: InstrumentDataset, run: Run) -> dict[str, Any]:
+    """Run a job in a child process and measure what it estimated; see :meth:`surgbench.task.Task.execute`."""
+    settings = own_settings(job)
+    data = unit_data(job, dataset)
+    evaluator = SilhouetteEvaluator(data.instruments, data.camera)
+    answers: list[Answer] = []
+    mask_errors: list[tuple[float, float | None]] = []
+    status, error, trace, initialise_s = "ok", None, None, None
+    try:
+        with run.child(WORKER, settings.conditions.timeout_s) as child:
+            child.send("setup", child_setup(job, data.scene()))
+            child.receive()
+            for frame in range(job.frames):
+                run.check()
+                mask = data.sequence.mask(data.unit.kind, frame)
+                observation = data.observation(frame, mask)
+                if frame == 0:
+                    initialise_s = _initialise(child, job, data, observation, run)
+                child.send("step", observation)
+                clean = None if data.truth is None else data.sequence.clean_mask(data.unit.kind, frame)
+                answer: Answer = child.receive()[1]
+                answers.append(answer)
+                mask_errors.append(_mask_errors(evaluator, answer.state, mask, clean))
+                run.advance(1)
+    except ChildProblemError as problem:
+        status, error, trace = problem.status, f"frame {len(answers)}: {problem}", problem.traceback
+    return {
+        "status": status,
+        "error": error,
+        "traceback": trace,
+        "initialise_s": initialise_s,
+        "frames": _frames(answers),
+        "errors": _errors(data, answers, mask_errors),
+    }
+
+
+def _initialise(child: Child, job: Job, data: UnitData, observation: Observation, run: Run) -> float:
+    """Have the first frame's state found; returns the seconds that it took."""
+    settings = own_settings(job)
+    truth = data.truth[0].reshape(-1) if data.truth is not None and settings.initialiser.needs_truth else None
+    label = f"{settings.row_id} {job.unit.id}: finding the instrument"
+    child.send("first", observation, truth, true_states(job, data))
+    while (message := child.receive())[0] == "progress":
+        run.stage(label, message[1])
+    run.stage(label, 1.0)
+    elapsed_s: float = message[2]
+    return elapsed_s
+
+
+def _mask_errors(
+    evaluator: SilhouetteEvaluator, state: FloatArray, mask: Mask, clean: Mask | None
+) -> tuple[float, float | None]:
+    def error(mask: Mask) -> float:
+        reference = Reference(mask)
+        score = evaluator.score(state[None], reference)
+        return float(metrics.mask_error(score.area[0], reference.area, score.overlap[0]))
+
+    return error(mask), None if clean is None else error(clean)
+
+
+def _frames(answers: list[Answer]) -> dict[str, list[Any]]:
+    columns: dict[str, list[Any]] = {"index": list(range(len(answers)))}
+    for name in ANSWER_COLUMNS:
+        values = [getattr(answer, name) for answer in answers]
+        columns[name] = [value.tolist() if isinstance(value, np.ndarray) else value for value in values]
+    return columns
+
+
+def _errors(
+    data: UnitData, answers: list[Answer], mask_errors: list[tuple[float, float | None]]
+) -> dict[str, list[Any] | None]:
+    """Errors of all frames; ``None`` where there is no truth to hold them against."""
+    errors: dict[str, list[Any] | None] = {name: None for name in metrics.POSE_ERRORS}
+    shape = (len(answers), len(data.unit.arms), STATE_SIZE)
+    states = np.array([answer.state for answer in answers]).reshape(shape)
+    starts = np.array([answer.start for answer in answers]).reshape(shape)
+    if data.truth is not None:
+        per_arm = [
+            metrics.pose_errors(instrument, data.camera, states[:, arm], data.truth[: len(answers), arm])
+            for arm, instrument in enumerate(data.instruments)
+        ]
+        for name in metrics.POSE_ERRORS:
+            errors[name] = _finite(np.stack([arm[name] for arm in per_arm], axis=1))
+    errors["mask_error"] = [observed for observed, _ in mask_errors]
+    errors["mask_error_true"] = None if data.truth is None else [clean for _, clean in mask_errors]
+    tips = [instrument.tips_cam(states[:, arm]) for arm, instrument in enumerate(data.instruments)]
+    errors["lag_ms"] = _lags(states, data)
+    errors["start_lag_ms"] = _lags(starts, data)
+    errors["jitter"] = _finite(np.array([metrics.jitter(arm, data.sequence.dt_s) for arm in tips]))
+    return errors
+
+
+def _lags(states: FloatArray, data: UnitData) -> list[Any] | None:
+    """Of each arm, milliseconds that the wrist of ``(T, arms, 9)`` states trails behind."""
+    if data.truth is None:
+        return None
+    places, true_places = states[..., POSITION], data.truth[: len(states), :, POSITION]
+    lags = [metrics.lag(places[:, arm], true_places[:, arm], data.sequence.dt_s) for arm in range(states.shape[1])]
+    return _finite(1e3 * np.array(lags))
+
+
+def _finite(values: FloatArray) -> list[Any]:
+    """Nested lists with ``None`` for NaN, which JSON has not."""
+    nested = values.astype(object)
+    nested[~np.isfinite(values)] = None
+    return list(nested.tolist())

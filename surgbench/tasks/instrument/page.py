@@ -1,0 +1,206 @@
+"""``leaderboard.md``: the table for people, made of nothing but the other files and the table's definition."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from surgbench.report.figures import FIGURE_PNG
+from surgbench.report.markdown import QUICK_WARNING, escape, failure_lines, markdown_table
+from surgbench.report.row import Row
+from surgbench.reproduce.compare import Comparison, Measure, compare
+from surgbench.reproduce.published import Published
+from surgbench.reproduce.results import Results
+from surgbench.reproduce.table import Block, Definition, Table
+from surgbench.tasks.instrument.measures import ABOVE_FLOOR, ALL, PUBLISHED, TIME, TIPS
+
+READING = (
+    "Errors are means over sequences (each arm is one) ± their standard error, after the paper's rule for the 180° "
+    "twin. *mask error* is against the mask that the tracker saw, *true mask error* against the uncorrupted one; "
+    "*keypoints* is the sum over both tips. *time* is the median of a frame's optimisation. Every column is explained "
+    "in `docs/metrics.md`; `leaderboard.csv` has more of them, with all digits, and `sequences.csv` every sequence's "
+    "means."
+)
+
+
+def markdown(definition: Definition, results: Results) -> str:
+    """The whole page."""
+    table, published = definition.table, definition.published
+    source = "" if published is None else published.short
+    compared = {block.name: compare(block, results.rows, published, PUBLISHED) for block in table.blocks}
+    parts = [f"# {table.title}"]
+    if results.about["quick"]:
+        parts.append(QUICK_WARNING)
+    if table.note:
+        parts.append(table.note.strip())
+    parts.append(_summary(table, compared, source))
+    parts += [READING, _times(results.about, published)]
+    if results.about["figure"]:
+        parts.append(f"![Ground truth and estimates over time]({FIGURE_PNG})")
+    for block in table.blocks:
+        rows = [row for row in results.rows if row["block"] == block.name]
+        about_data = _dataset(block, results.about["datasets"][block.dataset.folder])
+        parts += [f"## {block.heading}", block.note.strip(), about_data, _block_table(rows), *failure_lines(rows)]
+        if compared[block.name]:
+            parts += [f"### Beside {source}", _comparison_table(compared[block.name])]
+            parts.append(_not_met(compared[block.name]))
+        floors = _floor_table(block, results.rows)
+        if floors:
+            parts += ["### Above the floor", FLOOR_NOTE, floors]
+        gains = _gain_table(block, results)
+        if gains:
+            parts += ["### What it changes", GAIN_NOTE, gains]
+    return "\n\n".join(part for part in parts if part) + "\n"
+
+
+FLOOR_NOTE = (
+    "How many times the error of the floor row, which searches every frame from its true state: what the masks allow."
+)
+
+GAIN_NOTE = (
+    "By how much each error is smaller (−) or larger (+) than that of the row it is held against, and in how many of "
+    "the sequences the tips' error is smaller."
+)
+
+
+def _summary(table: Table, compared: dict[str, list[Comparison]], source: str) -> str:
+    """How many of the published figures are reached, block by block; what was not run is no figure."""
+    counts = []
+    for block in table.blocks:
+        pairs = [pair for one in compared[block.name] for pair in one.pairs if pair.ours is not None]
+        if pairs:
+            counts.append(f"{block.heading}: {sum(pair.met for pair in pairs)} of {len(pairs)}")
+    return f"**Figures of {source} that are met or bettered: {'; '.join(counts)}.**" if counts else ""
+
+
+def _not_met(comparisons: list[Comparison]) -> str:
+    worse = [
+        f"`{one.row.id}` {pair.measure.name} ({_ratio(pair.ratio)})"
+        for one in comparisons
+        for pair in one.pairs
+        if pair.ratio is not None and not pair.met
+    ]
+    return f"Worse than published: {', '.join(worse) or 'nothing'}."
+
+
+def _times(about: dict[str, Any], published: Published | None) -> str:
+    timed = about["timing_environments"] or about["environments"]
+    processors = sorted({environment["machine"]["processor"] for environment in timed})
+    how = "one run at a time" if about["timing_environments"] else "beside other runs, if there were several jobs"
+    where = f"on one core of {' and of '.join(processors)}, {how}"
+    if published is None:
+        return f"Times were measured {where}."
+    return (
+        f"The times of {published.short} were measured on {published.machine}, ours {where}; "
+        "their ratio is of what a user waits for, not of the methods' arithmetic."
+    )
+
+
+def _dataset(block: Block, dataset: dict[str, Any]) -> str:
+    """What a reader needs to see whether a row is won by an easy dataset."""
+    speeds = [
+        f"{speed} sequences, an arm moves {1000 * values['translation_m']:.2f} mm, {values['rotation_rad']:.4f} rad "
+        f"and {values['joints_rad']:.4f} rad per joint a frame in the mean, and its masks differ from the "
+        f"true ones by {values['mask_error']:.4f} (1 − IoU)"
+        for speed, values in sorted(
+            dataset["difficulty"].items(), reverse=True
+        )  # nominal first, also as read from a file
+    ]
+    pairs = f"{dataset['sequences']} {'pair' if dataset['sequences'] == 1 else 'pairs'} of arms"
+    return (
+        f"Dataset `{block.dataset.folder}`: {pairs}, {dataset['frames']} frames, SHA-256 "
+        f"`{dataset['sha256'][:12]}…`. In {'; in '.join(speeds)}."
+    )
+
+
+def _block_table(rows: Sequence[Row]) -> str:
+    partly = any(row["coverage"] < 1 for row in rows)
+    headings = ["method", "row id", *(measure.heading for measure in (*ALL, TIME)), "p95 [ms]"]
+    lines = [headings + (["sequences × frames"] if partly else [])]
+    for row in rows:
+        cells = [escape(row["label"]), f"`{row['row_id']}`"]
+        cells += [_with_error(measure, row[measure.key], row[f"{measure.key}_sem"]) for measure in ALL]
+        cells += [TIME.text(row[TIME.key]), TIME.text(row["latency_ms_p95"])]
+        if partly:
+            frames = row["frames"] / row["sequences"] / row["repeats"]
+            cells.append(f"{row['sequences']} × {frames:g}" if frames else row["status"])
+        lines.append(cells)
+    return markdown_table(lines, text_columns=2)
+
+
+def _comparison_table(comparisons: Sequence[Comparison]) -> str:
+    """Three lines a row: published, ours, and their ratio, bold where ours is no worse."""
+    measures = [
+        measure for measure in (*ALL, TIME) if any(pair.measure == measure for one in comparisons for pair in one.pairs)
+    ]
+    lines = [["method", "", *(measure.heading for measure in measures)]]
+    for one in comparisons:
+        pairs = {pair.measure: pair for pair in one.pairs}
+        published, ours, ratio = [], [], []
+        for measure in measures:
+            pair = pairs.get(measure)
+            published.append("–" if pair is None else measure.text(pair.published))
+            ours.append("–" if pair is None else _with_error(measure, pair.ours, pair.sem))
+            text = "–" if pair is None or pair.ratio is None else _ratio(pair.ratio)
+            ratio.append(f"**{text}**" if pair is not None and pair.met else text)
+        # A method of ours stands beside another method's figures.
+        whose = "published" if one.row.published == one.row.id else f"published, `{one.row.published}`"
+        lines += [[escape(one.row.label), whose, *published], ["", "ours", *ours], ["", "ratio", *ratio]]
+    return markdown_table(lines, text_columns=2)
+
+
+def _floor_table(block: Block, rows: Sequence[Row]) -> str:
+    found = {row["row_id"]: row for row in rows}
+    lines = [["method", "floor", *(measure.name for measure in ABOVE_FLOOR)]]
+    for row in block.rows:
+        if row.floor is None:
+            continue
+        ours, floor = found[row.id], found[row.floor]
+        ratios = [
+            _ratio(ours[measure.key] / floor[measure.key]) if ours[measure.key] and floor[measure.key] else "–"
+            for measure in ABOVE_FLOOR
+        ]
+        lines.append([escape(row.label), f"`{row.floor}`", *ratios])
+    return markdown_table(lines, text_columns=2) if len(lines) > 1 else ""
+
+
+def _gain_table(block: Block, results: Results) -> str:
+    found = {row["row_id"]: row for row in results.rows}
+    lines = [["method", "against", *(measure.name for measure in ABOVE_FLOOR), "better in"]]
+    for row in block.rows:
+        if row.against is None:
+            continue
+        ours, other = found[row.id], found[row.against]
+        changes = [
+            _percent(ours[measure.key] / other[measure.key] - 1.0) if ours[measure.key] and other[measure.key] else "–"
+            for measure in ABOVE_FLOOR
+        ]
+        lines.append([escape(row.label), f"`{row.against}`", *changes, _better_in(row.id, row.against, results)])
+    return markdown_table(lines, text_columns=2) if len(lines) > 1 else ""
+
+
+def _better_in(row_id: str, against: str, results: Results) -> str:
+    """In how many of the sequences that both were run on the tips' error is smaller."""
+    errors = {
+        (one["row_id"], one["unit"], one["repeat"]): one[TIPS.key]
+        for one in results.sequences
+        if one[TIPS.key] is not None
+    }
+    pairs = [
+        (error, errors[against, unit, repeat])
+        for (id_, unit, repeat), error in errors.items()
+        if id_ == row_id and (against, unit, repeat) in errors
+    ]
+    return f"{sum(ours < other for ours, other in pairs)} of {len(pairs)}"
+
+
+def _with_error(measure: Measure, value: float | None, sem: float | None) -> str:
+    return measure.text(value) + ("" if sem is None else f" ± {measure.text(sem)}")
+
+
+def _ratio(value: float) -> str:
+    return f"{value:.2f}×" if value < 10 else f"{value:.0f}×"
+
+
+def _percent(change: float) -> str:
+    return f"{100 * change:+.0f} %".replace("-", "−")

@@ -1,0 +1,64 @@
+"""Records of instrument trackers."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+from pydantic import model_validator
+
+from surgbench.geometry import FloatArray
+from surgbench.records.format import Frames, Number, Plug, Record, RecordSpec
+
+PER_ARM = ("jitter", "lag_ms", "start_lag_ms")  # errors that have one value for all frames together
+# What is kept of each answer of the child process, which has an attribute of each name.
+ANSWER_COLUMNS = (
+    "start", "state", "confidence", "lost", "latency_ms", "latency_optimise_ms", "latency_keypoints_ms",
+    "latency_filter_ms",
+)  # fmt: skip
+
+
+class InstrumentRecordSpec(RecordSpec):
+    """Everything that the estimates of an instrument depend on."""
+
+    arms: tuple[str, ...]
+    mask_kind: str
+    initialiser: Plug
+    filter: Plug
+    keypoints: Plug
+    readings: str
+    views: int = 1
+    view: str | None = None
+
+
+class InstrumentFrames(Frames):
+    """Per-frame results of an instrument tracker."""
+
+    state: list[list[float]] = []
+    confidence: list[Number] = []
+    lost: list[bool] = []
+    latency_ms: list[Number] = []
+    latency_optimise_ms: list[Number] = []
+    latency_keypoints_ms: list[Number] = []
+    latency_masks_ms: list[Number] = []
+    latency_filter_ms: list[Number] = []
+
+    @model_validator(mode="after")
+    def _state_size(self) -> InstrumentFrames:
+        if self.state and {len(state) for state in self.state} not in ({9}, {18}):
+            raise ValueError("'state' must hold 9 or 18 numbers per frame")
+        return self
+
+    @property
+    def states(self) -> FloatArray:
+        """``(T, 9 * arms)`` estimated states."""
+        return np.array(self.state, dtype=np.float64)
+
+
+class InstrumentRecord(Record):
+    """One run of an instrument tracker."""
+
+    whole: ClassVar[tuple[str, ...]] = PER_ARM
+
+    spec: InstrumentRecordSpec
+    frames: InstrumentFrames

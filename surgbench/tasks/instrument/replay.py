@@ -1,0 +1,80 @@
+"""Repeat a recorded run in this process to see the candidates that its tracker looked at."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from surgbench.contract import Trace
+from surgbench.errors import SurgbenchError
+from surgbench.suite.asked import Conditions
+from surgbench.suite.plan import complete
+from surgbench.suite.settings import Job
+from surgbench.tasks.instrument.asked import InstrumentRow
+from surgbench.tasks.instrument.dataset import InstrumentDataset, Unit
+from surgbench.tasks.instrument.execute import child_setup, true_states, unit_data
+from surgbench.tasks.instrument.worker import Loop
+
+
+def replay_traces(record: dict[str, Any], dataset: InstrumentDataset, frames: list[int]) -> dict[int, Trace]:
+    """Candidates of some frames of a recorded run.
+
+    The run is repeated from its record: the same options, seeds and recorded starts give the same samples, so
+    that what is drawn is what the run looked at. Estimates are compared with the record to make sure.
+
+    Args:
+        record: A record's whole content.
+        dataset: The dataset of the run.
+        frames: Frame numbers.
+
+    Returns:
+        Frame number to its candidates; without the frames that the run did not reach.
+
+    Raises:
+        SurgbenchError: The dataset is another one, or the repeated run takes another course.
+    """
+    spec, recorded = record["spec"], record["frames"]
+    if dataset.hash != spec["dataset"]["sha256"]:
+        raise SurgbenchError(f"{dataset.path}: not the dataset of the run '{spec['row_id']}' (another hash)")
+    job = _job(record, dataset)
+    data = unit_data(job, dataset)
+    setup = child_setup(job, data.scene())
+    loop = Loop(setup)
+    first = data.observation(0, data.sequence.mask(data.unit.kind, 0))
+    loop.begin(first, np.array(recorded["start"][0]), true_states(job, data))
+    traces: dict[int, Trace] = {}
+    last = min(max(frames, default=-1), len(recorded["index"]) - 1)
+    for frame in range(last + 1):
+        trace = Trace() if frame in frames else None
+        observation = data.observation(frame, data.sequence.mask(data.unit.kind, frame))
+        answer = loop.step(observation, trace)
+        if not np.array_equal(answer.state, recorded["state"][frame]):
+            raise SurgbenchError(
+                f"'{spec['row_id']}' {spec['unit']}: frame {frame} comes out differently now than when it was "
+                "recorded (another version of surgbench, of a library, or another processor); run it again"
+            )
+        if trace is not None:
+            traces[frame] = trace
+    return traces
+
+
+def _job(record: dict[str, Any], dataset: InstrumentDataset) -> Job:
+    """The job that a record's specification describes."""
+    spec, references = record["spec"], record["references"]
+    plugs = [spec[kind] for kind in ("tracker", "initialiser", "filter", "keypoints")]
+    row = InstrumentRow(
+        tracker=references["tracker"],
+        row_id=spec["row_id"],
+        initialiser=references["initialiser"],
+        filter=references["filter"],
+        keypoints=references["keypoints"],
+        readings=spec["readings"],
+        view=spec.get("view"),
+        options={plug["name"]: plug["options"] for plug in plugs if plug["options"]},
+        frames=spec.get("frames_limit"),
+    )
+    conditions = Conditions(seed=spec["seed"], device=spec.get("device", "cpu"))
+    unit = Unit(spec["unit"], spec["sequence"], tuple(spec["arms"]), spec["mask_kind"])
+    frames, everything = record["unit_frames"], record.get("dataset_frames", 0)
+    return Job(complete(row, conditions, dataset), dataset.name, dataset.hash, unit, frames, everything, spec["repeat"])

@@ -1,0 +1,59 @@
+"""Rows of the leaderboard for the instrument task."""
+
+from __future__ import annotations
+
+from surgbench.geometry import FloatArray
+from surgbench.metrics import POSE_ERRORS
+from surgbench.report.row import COMMON_COLUMNS, Row, median, pooled
+from surgbench.report.summary import summarise
+from surgbench.tasks.instrument.records import PER_ARM, InstrumentRecord
+
+SETTING_COLUMNS = ("arms", "iterations", "readings", "initialiser", "keypoints", "filter", "floor", "views", "level")
+ERRORS = (*POSE_ERRORS[:-1], "mask_error", "mask_error_true", POSE_ERRORS[-1])
+INSTRUMENT_COLUMNS = (
+    *COMMON_COLUMNS,
+    *SETTING_COLUMNS,
+    *(f"{error}{suffix}" for error in ERRORS for suffix in ("", "_std", "_sem")),
+    *PER_ARM,
+    "lost_frames",
+)
+
+
+def instrument_row(head: Row, records: list[InstrumentRecord]) -> Row:
+    """The row of one row id, settings and number of arms.
+
+    Args:
+        head: Columns that rows of every task have.
+        records: All of them.
+    """
+    spec = records[0].spec
+    row = {
+        **head,
+        "latency_optimise_ms": median(pooled(records, "latency_optimise_ms")),
+        "latency_keypoints_ms": median(pooled(records, "latency_keypoints_ms")),
+        "latency_masks_ms": median(pooled(records, "latency_masks_ms")),
+        "latency_filter_ms": median(pooled(records, "latency_filter_ms")),
+        "arms": "single" if len(spec.arms) == 1 else "dual",
+        "iterations": spec.tracker.options.get("iterations"),
+        "readings": spec.readings,
+        "initialiser": spec.initialiser.name,
+        "keypoints": spec.keypoints.name,
+        "filter": spec.filter.name,
+        "floor": records[0].floor,
+        "views": spec.views,
+        "level": spec.level,
+    }
+    for error in ERRORS:
+        summary = summarise(_by_sequence(records, error))
+        row |= {error: summary.mean, f"{error}_std": summary.std, f"{error}_sem": summary.sem}
+    row |= {name: summarise(_by_sequence(records, name)).mean for name in PER_ARM}
+    row["lost_frames"] = sum(sum(record.frames.lost) for record in records)
+    return row
+
+
+def _by_sequence(records: list[InstrumentRecord], error: str) -> list[list[FloatArray]]:
+    sequences: dict[str, list[FloatArray]] = {}
+    for record in records:
+        if error in record.errors:
+            sequences.setdefault(record.spec.unit, []).append(record.errors[error])
+    return list(sequences.values())

@@ -1,0 +1,137 @@
+"""What the trackers of a unit saw, and the silhouettes of their estimates."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from surgbench.camera.change_of_view import ChangeOfView
+from surgbench.contract import Mask
+from surgbench.instrument import Instrument
+from surgbench.report.drawing import REFERENCE_COLOUR, Colour, Picture, draw_contours, grey, scaled
+from surgbench.tasks.instrument.dataset import InstrumentDataset
+from surgbench.tasks.instrument.dataset import Sequence as Recording
+from surgbench.tasks.instrument.records import InstrumentRecord
+
+
+@dataclass
+class Shot:
+    """One tracker's estimates on one unit.
+
+    Attributes:
+        record: Where they are from.
+        title: The row id, with the variant where ids are not enough.
+        colour: Of its contours.
+    """
+
+    record: InstrumentRecord
+    title: str
+    colour: Colour
+    _places: dict[int, int] = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._places = {index: place for place, index in enumerate(self.record.frames.index)}
+
+    def state(self, frame: int) -> list[float] | None:
+        """Estimate of a frame, ``None`` where the tracker got no further."""
+        place, states = self._places.get(frame), self.record.frames.state
+        return None if place is None or place >= len(states) else states[place]
+
+    def mask_error(self, frame: int) -> float | None:
+        """``1 - IoU`` of a frame, from the record."""
+        place, values = self._places.get(frame), self.record.errors.get("mask_error")
+        if place is None or values is None or np.isnan(values[place]).any():
+            return None
+        return float(np.mean(values[place]))
+
+
+class Window(NamedTuple):
+    """A rectangle of the picture, pixels."""
+
+    left: int
+    top: int
+    width: int
+    height: int
+
+
+class Scenery:
+    """What the trackers of one unit saw, and the silhouettes of their estimates.
+
+    Args:
+        dataset: The dataset that the unit is of.
+        record: Any record of the unit.
+        view: Auxiliary view to look from; the endoscope unless told.
+    """
+
+    def __init__(self, dataset: InstrumentDataset, record: InstrumentRecord, view: str | None = None) -> None:
+        from surgbench.silhouette import SilhouetteEvaluator
+
+        spec = record.spec
+        self.recording: Recording = dataset.sequence(spec.sequence)
+        self.kind = spec.mask_kind
+        arms = [arm for arm in self.recording.arms if arm in spec.arms]
+        self.instruments: list[Instrument] = [dataset.instrument(self.recording.entry.instruments[arm]) for arm in arms]
+        self._auxiliary = None if view is None else self.recording.auxiliary(view)
+        self.camera = self.recording.camera if self._auxiliary is None else self._auxiliary.camera
+        self._evaluator: SilhouetteEvaluator = SilhouetteEvaluator(self.instruments, self.camera)
+
+    @property
+    def is_auxiliary(self) -> bool:
+        """Whether this is another view than the endoscope's."""
+        return self._auxiliary is not None
+
+    def reference(self, frame: int) -> Mask:
+        """The mask that the tracker saw."""
+        return (self._auxiliary or self.recording).mask(self.kind, frame)
+
+    def ground(self, frame: int) -> Picture:
+        """The image, or the mask in grey where there is none."""
+        image = None if self._auxiliary is not None else self.recording.image(frame)
+        return grey(self.reference(frame)) if image is None else image
+
+    def silhouette(self, state: list[float], frame: int) -> Mask:
+        """What an estimate covers; in an auxiliary view, where that is reported to be."""
+        T_view_cam = np.eye(4) if self._auxiliary is None else self._auxiliary.T_view_cam(self.kind)[frame]
+        return self._evaluator.mask(ChangeOfView(T_view_cam).states(np.array(state, dtype=np.float64)))
+
+    @property
+    def whole(self) -> Window:
+        """The whole picture."""
+        return Window(0, 0, self.camera.width, self.camera.height)
+
+    def window(self, frames: Sequence[int]) -> Window:
+        """The part of the picture where the reference masks of some frames are, with a margin."""
+        seen = np.logical_or.reduce([self.reference(frame) for frame in frames])
+        if not seen.any():
+            return self.whole
+        rows, columns = np.flatnonzero(seen.any(axis=1)), np.flatnonzero(seen.any(axis=0))
+        margin = round(SHEET_MARGIN * self.camera.width)
+        left, top = max(0, int(columns[0]) - margin), max(0, int(rows[0]) - margin)
+        right = min(self.camera.width, int(columns[-1]) + 1 + margin)
+        bottom = min(self.camera.height, int(rows[-1]) + 1 + margin)
+        return Window(left, top, right - left, bottom - top)
+
+    def panel(self, frame: int, shots: Sequence[Shot], scale: float, window: Window | None = None) -> Picture:
+        """One frame with the reference's contour (green, broad) and the estimates' over it (their colours, thin).
+
+        Args:
+            frame: Which.
+            shots: Whose estimates.
+            scale: Pixels of the panel per pixel of the recording.
+            window: The part to show; the whole unless told.
+        """
+        left, top, width, height = window or self.whole
+        picture = scaled(self.ground(frame)[top : top + height, left : left + width], scale)
+        thickness = max(2, round(picture.shape[1] / 400))
+        draw_contours(picture, self.reference(frame), REFERENCE_COLOUR, thickness + 2, scale, (left, top))
+        for shot in shots:
+            state = shot.state(frame)
+            if state is not None:
+                draw_contours(picture, self.silhouette(state, frame), shot.colour, thickness, scale, (left, top))
+        return picture
+
+
+SHEET_MARGIN = 0.06

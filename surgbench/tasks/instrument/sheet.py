@@ -1,0 +1,73 @@
+"""Tables of the instrument task."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from surgbench.report.figures import FIGURE_PNG
+from surgbench.report.row import Row
+from surgbench.reproduce.results import BlockWork
+from surgbench.reproduce.sheet import Sheet
+from surgbench.reproduce.table import Definition
+from surgbench.tasks.instrument.dataset import InstrumentDataset
+from surgbench.tasks.instrument.difficulty import difficulty
+from surgbench.tasks.instrument.figure import draw
+from surgbench.tasks.instrument.fingerprint import sequence_head_sha256
+from surgbench.tasks.instrument.measures import PUBLISHED
+from surgbench.tasks.instrument.page import markdown
+from surgbench.tasks.instrument.records import PER_ARM, InstrumentRecord
+from surgbench.tasks.instrument.rows import ERRORS, INSTRUMENT_COLUMNS, SETTING_COLUMNS
+
+
+def _describe(dataset: InstrumentDataset, frames: int) -> dict[str, Any]:
+    return {
+        "sequences": len(dataset.sequences),
+        "frames": sum(sequence.frames for sequence in dataset.sequences),
+        "difficulty": difficulty(dataset),
+        "first_sha256": {
+            sequence.id: sequence_head_sha256(dataset, sequence.id, min(frames, sequence.frames))
+            for sequence in dataset.sequences
+        },
+    }
+
+
+def _traits(dataset: InstrumentDataset, sequence: str) -> Row:
+    return {"speed": dataset.sequence(sequence).speed}
+
+
+def _count(record: InstrumentRecord) -> Row:
+    return {"lost_frames": sum(record.frames.lost)}
+
+
+def _draw(definition: Definition, blocks: Sequence[BlockWork], folder: Path) -> list[str]:
+    return [FIGURE_PNG] if draw(definition.table, blocks, folder, folder / FIGURE_PNG) else []
+
+
+INSTRUMENT_SHEET = Sheet(
+    columns=INSTRUMENT_COLUMNS,
+    settings=frozenset(SETTING_COLUMNS) - {"iterations", "views", "floor"},
+    errors=(*ERRORS, *PER_ARM),
+    whole=PER_ARM,
+    counts=("lost_frames",),
+    traits=("speed",),
+    no_difference={
+        "rotation_error_rad": 1e-3,
+        "translation_error_m": 5e-5,
+        "tip_error_m": 5e-5,
+        "q1_error_rad": 1e-3,
+        "q2_error_rad": 1e-3,
+        "q3_error_rad": 1e-3,
+        "keypoint_error_px": 0.2,
+        "mask_error": 1e-3,
+        "mask_error_true": 1e-3,
+    },
+    traits_of=_traits,
+    count=_count,
+    describe=_describe,
+    page=markdown,
+    draw=_draw,
+    estimates="state",
+    measures=PUBLISHED,
+)

@@ -1,0 +1,139 @@
+"""The instrument task, as the engine sees it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from surgbench.conformance.subject import Check
+from surgbench.report.column import Column
+from surgbench.report.row import Row
+from surgbench.report.video_options import VideoOptions
+from surgbench.reproduce.sheet import Sheet
+from surgbench.suite.asked import Conditions
+from surgbench.suite.running import Run
+from surgbench.suite.settings import Job
+from surgbench.task import Task
+from surgbench.tasks.instrument.asked import InstrumentRow
+
+if TYPE_CHECKING:
+    from surgbench.tasks.instrument.dataset import InstrumentDataset
+    from surgbench.tasks.instrument.format import InstrumentManifest
+    from surgbench.tasks.instrument.plan import InstrumentSettings
+    from surgbench.tasks.instrument.records import InstrumentRecord
+
+
+class InstrumentTask(Task):
+    """Estimate the state of one or two instruments in every frame of a mask sequence."""
+
+    name: ClassVar[str] = "instrument"
+    summary: ClassVar[str] = "estimate the state of one or two instruments in every frame of a mask sequence"
+    default: ClassVar[bool] = True
+    first_check: ClassVar[str] = "plain sequence"
+    may_refuse: ClassVar[tuple[str, ...]] = ("readings", "kinematics", "two arms")
+    aids: ClassVar[tuple[str, ...]] = ("kinematics",)
+
+    @property
+    def manifest(self) -> type[InstrumentManifest]:
+        """Sequences, cameras, instruments."""
+        from surgbench.tasks.instrument.format import InstrumentManifest
+
+        return InstrumentManifest
+
+    def open(self, folder: Path, manifest: InstrumentManifest, sha256: str) -> InstrumentDataset:
+        """A dataset of masks."""
+        from surgbench.tasks.instrument.dataset import InstrumentDataset
+
+        return InstrumentDataset(folder, manifest, sha256)
+
+    def validate(self, dataset: InstrumentDataset, progress: Callable[[float], None]) -> list[str]:
+        """Masks, tables, instruments."""
+        from surgbench.tasks.instrument.validate import validate
+
+        return validate(dataset, progress)
+
+    @property
+    def row(self) -> type[InstrumentRow]:
+        """Initialiser, filter, keypoint source, readings, view."""
+        return InstrumentRow
+
+    def complete(self, row: InstrumentRow, conditions: Conditions, dataset: InstrumentDataset) -> InstrumentSettings:
+        """See :func:`surgbench.tasks.instrument.plan.complete`."""
+        from surgbench.tasks.instrument.plan import complete
+
+        return complete(row, conditions, dataset)
+
+    def execute(self, job: Job, dataset: InstrumentDataset, run: Run) -> dict[str, Any]:
+        """See :func:`surgbench.tasks.instrument.execute.execute`."""
+        from surgbench.tasks.instrument.execute import execute
+
+        return execute(job, dataset, run)
+
+    @property
+    def record(self) -> type[InstrumentRecord]:
+        """A record of an instrument tracker."""
+        from surgbench.tasks.instrument.records import InstrumentRecord
+
+        return InstrumentRecord
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Settings, errors, jitter, lags."""
+        from surgbench.tasks.instrument.rows import INSTRUMENT_COLUMNS
+
+        return INSTRUMENT_COLUMNS
+
+    @property
+    def shown(self) -> tuple[Column, ...]:
+        """Errors with their units."""
+        from surgbench.tasks.instrument.columns import COLUMNS
+
+        return COLUMNS
+
+    def rows(self, head: Row, records: list[InstrumentRecord]) -> list[Row]:
+        """One row."""
+        from surgbench.tasks.instrument.rows import instrument_row
+
+        return [instrument_row(head, records)]
+
+    def group(self, record: InstrumentRecord) -> str:
+        """The same settings may be run on single arms and on pairs: those are not one row."""
+        return str(len(record.spec.arms))
+
+    def title(self, row: Row) -> str:
+        """How many arms a run is about."""
+        return "both arms together" if row["arms"] == "dual" else "single arms"
+
+    def rank(self, row: Row) -> float | None:
+        """The error of the masks that trackers saw, which is known of recordings too."""
+        error: float | None = row["mask_error"]
+        return error
+
+    @property
+    def sheet(self) -> Sheet:
+        """Tables beside those of Hu et al. 2026."""
+        from surgbench.tasks.instrument.sheet import INSTRUMENT_SHEET
+
+        return INSTRUMENT_SHEET
+
+    def draw(
+        self,
+        records: Sequence[InstrumentRecord],
+        options: VideoOptions,
+        dataset: Path | None,
+        out: Path,
+        progress: Callable[[str, float], Any],
+    ) -> list[Path]:
+        """Estimates over what was seen: an MP4 and a contact sheet per unit."""
+        from surgbench.tasks.instrument.video import draw, plan
+
+        videos = plan(records, options, dataset)
+        with progress("drawing frames", sum(video.frames for video in videos)) as advance:
+            return [path for video in videos for path in draw(video, options, out, advance)]
+
+    def checks(self) -> Mapping[str, Check]:
+        """Same seed same result, odd masks, missing input, one arm and two."""
+        from surgbench.tasks.instrument.conformance.checks import CHECKS
+
+        return CHECKS

@@ -1,0 +1,113 @@
+"""What trackers are shown of a unit of a dataset, and its truth."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+
+from surgbench.contract import Mask, Observation, Scene, View, no_image
+from surgbench.dataset.masks import read_image
+from surgbench.geometry import FloatArray
+from surgbench.instrument import Instrument
+from surgbench.state import STATE_SIZE
+from surgbench.tasks.instrument.asked import Readings
+from surgbench.tasks.instrument.dataset import InstrumentDataset, Sequence, Unit
+
+
+class UnitData:
+    """A unit's frames as observations, and its truth.
+
+    Args:
+        dataset: The dataset.
+        unit: One of its units.
+        readings: Which joint readings observations hold.
+        view: Auxiliary view that observations hold besides the endoscope's.
+    """
+
+    def __init__(self, dataset: InstrumentDataset, unit: Unit, readings: Readings, view: str | None = None) -> None:
+        self.unit = unit
+        self.sequence: Sequence = dataset.sequence(unit.sequence)
+        self.camera = self.sequence.camera
+        self.instruments: tuple[Instrument, ...] = tuple(
+            dataset.instrument(self.sequence.entry.instruments[arm]) for arm in unit.arms
+        )
+        self._keypoints = [self.sequence.keypoints(arm) for arm in unit.arms]
+        self.truth = self._stack([self.sequence.states(arm) for arm in unit.arms])
+        self._joints = self._joint_readings(readings)
+        # From the same encoders as the joints' readings, and never better than those.
+        self._kinematics = None if readings == "none" else self._stack([self.sequence.kinematics(a) for a in unit.arms])
+        self._auxiliary = None if view is None else self.sequence.auxiliary(view)
+        self._limits = self.scene().joint_limits
+
+    @staticmethod
+    def _stack(per_arm: list[FloatArray | None]) -> FloatArray | None:
+        """``(T, arms, ...)`` from one ``(T, ...)`` per arm."""
+        present = [values for values in per_arm if values is not None]
+        return np.stack(present, axis=1) if len(present) == len(per_arm) else None
+
+    def _joint_readings(self, readings: Readings) -> FloatArray | None:
+        if readings == "none":
+            return None
+        if readings == "true":
+            return None if self.truth is None else self.truth[:, :, 6:]
+        return self._stack([self.sequence.readings(arm) for arm in self.unit.arms])
+
+    @property
+    def frames(self) -> int:
+        """Number of frames."""
+        return self.sequence.frames
+
+    def scene(self) -> Scene:
+        """What stays the same over the sequence."""
+        bases = [base for arm in self.unit.arms if (base := self.sequence.T_cam_base(arm)) is not None]
+        cameras = [(self.camera, np.eye(4))]
+        if self._auxiliary is not None:
+            cameras.append((self._auxiliary.camera, self._auxiliary.T_view_cam(self.unit.kind)[0]))
+        nothing = (None,) * len(self.unit.arms)
+        return Scene(
+            instruments=self.instruments,
+            views=tuple(
+                View(camera, T_view_cam, np.zeros((camera.height, camera.width), dtype=bool), keypoints=nothing)
+                for camera, T_view_cam in cameras
+            ),
+            limits=tuple(instrument.search_limits for instrument in self.instruments),
+            dt_s=self.sequence.dt_s,
+            arms=len(self.unit.arms),
+            speed=self.sequence.speed,
+            T_cam_base=np.stack(bases) if bases else None,
+        )
+
+    def observation(self, frame: int, mask: Mask) -> Observation:
+        """What a tracker may know of a frame; ``start`` is the engine's to fill in."""
+        keypoints = _seen(self._keypoints, frame)
+        path = self.sequence.image_path(frame)
+        # Only the file's place: a bound method would carry the sequence, its readings and its truth along.
+        image = no_image if path is None else partial(read_image, path, self.camera.width, self.camera.height)
+        joints = None
+        if self._joints is not None and not np.isnan(self._joints[frame]).any():
+            clipped = self._limits.clip(self._joints[frame])
+            joints = clipped[0] if len(clipped) == 1 else clipped
+        kinematics = None
+        if self._kinematics is not None and not np.isnan(self._kinematics[frame]).any():
+            kinematics = self._kinematics[frame]
+        return Observation(
+            index=frame,
+            timestamp_s=float(self.sequence.timestamps_s[frame]),
+            views=(View(self.camera, np.eye(4), mask, keypoints=keypoints, image=image), *self._further_views(frame)),
+            start=np.zeros(STATE_SIZE * len(self.unit.arms)),
+            joints=joints,
+            kinematics=kinematics,
+        )
+
+    def _further_views(self, frame: int) -> tuple[View, ...]:
+        view, kind = self._auxiliary, self.unit.kind
+        if view is None:
+            return ()
+        keypoints = _seen([view.keypoints(kind, arm) for arm in self.unit.arms], frame)
+        return (View(view.camera, view.T_view_cam(kind)[frame], view.mask(kind, frame), keypoints=keypoints),)
+
+
+def _seen(keypoints: list[FloatArray], frame: int) -> tuple[FloatArray | None, ...]:
+    """Of each arm both tips of a frame, or ``None``."""
+    return tuple(None if np.isnan(arm[frame]).any() else arm[frame] for arm in keypoints)

@@ -1,0 +1,287 @@
+"""Estimates drawn over what was seen: a video and a contact sheet per unit, as in Figs. 3 and 4 of Hu et al. 2026."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from surgbench.dataset.open import open_as
+from surgbench.errors import DatasetError, NotFoundError, SurgbenchError, unknown_name
+from surgbench.report.drawing import (
+    ESTIMATE_COLOURS,
+    PAPER,
+    REFERENCE_COLOUR,
+    Picture,
+    below,
+    beside,
+    heading,
+    legend,
+    save_png,
+    side_label,
+    strip,
+    write_note,
+)
+from surgbench.report.movie import spread_frames, write_video
+from surgbench.report.video_options import VideoOptions
+from surgbench.tasks.instrument.records import InstrumentRecord
+from surgbench.tasks.instrument.scenery import Scenery, Shot
+from surgbench.tasks.instrument.skeletons import BEST_COLOUR, draw_samples, rank_colours
+
+if TYPE_CHECKING:
+    from surgbench.tasks.instrument.dataset import InstrumentDataset
+
+VIDEO_WIDTH = 1920
+SHEET_PANEL_WIDTH = 420
+SHEET_LARGEST_SCALE = 2.0
+SHEET_COLUMNS = 5
+SAMPLE_FRAMES = 3
+TITLE_PX, SMALL_PX = 13, 11
+_GAP = 4
+
+
+def _error_text(shot: Shot, frame: int) -> str:
+    if shot.state(frame) is None:
+        return "no estimate"
+    error = shot.mask_error(frame)
+    return "" if error is None else f"mask error {error:.3f}"
+
+
+def compose_frame(scenery: Scenery, shots: Sequence[Shot], frame: int, overlay: bool = False) -> Picture:
+    """One frame of the video: a panel per tracker with its title, or all trackers in one panel.
+
+    Args:
+        scenery: The unit.
+        shots: The trackers.
+        frame: Which frame.
+        overlay: All in one panel, with a legend.
+
+    Returns:
+        A picture of even width and height (video codecs want that), the same size for every frame.
+    """
+    groups = [list(shots)] if overlay else [[shot] for shot in shots]
+    across = len(groups) if len(groups) <= 3 else math.ceil(math.sqrt(len(groups)))
+    scale = min(1.0, (VIDEO_WIDTH / across - _GAP) / scenery.camera.width)
+    panels = []
+    for group in groups:
+        panel = scenery.panel(frame, group, scale)
+        width = panel.shape[1]
+        if overlay:
+            title = f"{scenery.recording.id}   frame {frame}"
+            entries = [("reference mask", REFERENCE_COLOUR)]
+            entries += [(f"{shot.title}  {_error_text(shot, frame)}", shot.colour) for shot in group]
+            # One line each, since the texts change their widths and the picture must not change its size.
+            foot = below([legend([entry], width, SMALL_PX) for entry in entries])
+            panels.append(below([heading(title, width, TITLE_PX), panel, foot]))
+        else:
+            title = f"{group[0].title}   frame {frame}   {_error_text(group[0], frame)}"
+            panels.append(below([heading(title, width, TITLE_PX), panel]))
+    blank = strip(panels[0].shape[1], panels[0].shape[0])
+    panels += [blank] * (-len(panels) % across)
+    picture = below([beside(panels[i : i + across], _GAP) for i in range(0, len(panels), across)], _GAP)
+    odd = ((0, picture.shape[0] % 2), (0, picture.shape[1] % 2), (0, 0))
+    return np.pad(picture, odd, constant_values=PAPER[0])
+
+
+def contact_sheet(scenery: Scenery, shots: Sequence[Shot], frames: Sequence[int]) -> Picture:
+    """Frames as columns, trackers as rows, with labels and a legend; cropped to where the instruments are.
+
+    Args:
+        scenery: The unit.
+        shots: The trackers, one row each.
+        frames: Frame numbers, one column each.
+    """
+    window = scenery.window(frames)
+    scale = min(SHEET_LARGEST_SCALE, SHEET_PANEL_WIDTH / window.width)
+    rows: list[Picture] = []
+    for shot in shots:
+        panels = []
+        for frame in frames:
+            panel = scenery.panel(frame, [shot], scale, window)
+            # Records have mask errors in the endoscope's view alone.
+            if not scenery.is_auxiliary:
+                write_note(panel, _error_text(shot, frame), SMALL_PX)
+            panels.append(panel)
+        height, width = panels[0].shape[:2]
+        rows.append(beside([side_label(shot.title, height, TITLE_PX), beside(panels, _GAP)]))
+    heads = beside([heading(f"frame {frame}", width, TITLE_PX) for frame in frames], _GAP)
+    side = rows[0].shape[1] - heads.shape[1]
+    top = beside([strip(side, heads.shape[0]), heads])
+    entries = [("reference mask, as the trackers saw it", REFERENCE_COLOUR)]
+    entries += [(f"estimate: {shot.title}", shot.colour) for shot in shots]
+    return below([top, below(rows, _GAP), legend(entries, top.shape[1], TITLE_PX)])
+
+
+def sample_sheet(dataset: InstrumentDataset, scenery: Scenery, shots: Sequence[Shot], frames: list[int]) -> Picture:
+    """Candidates of each iteration as skeletons: one row per tracker and frame, one column per iteration.
+
+    Raises:
+        SurgbenchError: None of the trackers shows its candidates, or the instrument has no skeleton.
+    """
+    for instrument in scenery.instruments:
+        if not instrument.spec.skeleton:
+            raise SurgbenchError(f"--samples: instrument '{instrument.name}' has no 'skeleton' in its file to draw")
+    from surgbench.tasks.instrument.replay import replay_traces
+
+    rows = []
+    for shot in shots:
+        content = json.loads(shot.record.path.read_text(encoding="utf-8"))
+        wanted = [frame for frame in frames if shot.state(frame) is not None]
+        traces = replay_traces(content, dataset, wanted) if wanted else {}
+        for frame in wanted:
+            if frame in traces and traces[frame].states:
+                image = scenery.recording.image(frame)
+                ground = scenery.reference(frame) if image is None else image
+                picture = draw_samples(scenery.camera, scenery.instruments, ground, traces[frame].states)
+                rows.append(beside([side_label(f"{shot.title}, frame {frame}", picture.shape[0], TITLE_PX), picture]))
+    if not rows:
+        names = ", ".join(shot.title for shot in shots)
+        raise SurgbenchError(f"--samples: no tracker here shows its candidates ({names}); cmaes does")
+    width = max(row.shape[1] for row in rows)
+    padded = [np.pad(row, ((0, 0), (0, width - row.shape[1]), (0, 0)), constant_values=PAPER[0]) for row in rows]
+    better, worse = rank_colours(2)
+    entries = [("best candidate", BEST_COLOUR), ("better candidates", better), ("worse ones", worse)]
+    return below([*padded, legend(entries, width, TITLE_PX)], _GAP)
+
+
+@dataclass(frozen=True)
+class UnitVideo:
+    """One unit to draw.
+
+    Attributes:
+        name: Of the files, without their endings.
+        dataset: Its dataset.
+        records: One per tracker.
+    """
+
+    name: str
+    dataset: InstrumentDataset
+    records: tuple[InstrumentRecord, ...]
+
+    @property
+    def frames(self) -> int:
+        """Frames of the video."""
+        return max(record.unit_frames for record in self.records)
+
+
+def plan(
+    records: Sequence[InstrumentRecord], options: VideoOptions, dataset_path: Path | None = None
+) -> list[UnitVideo]:
+    """Which units to draw, and from which dataset.
+
+    Args:
+        records: From :func:`surgbench.records.reader.read_records`.
+        options: Which units and rows.
+        dataset_path: Where the dataset is now, if not where the records say.
+
+    Raises:
+        NotFoundError: A unit or row that no record has.
+        DatasetError: The dataset is not there, or is another one than the records were made on.
+    """
+    for kind, asked, known in (
+        ("unit", options.units, {record.spec.unit for record in records}),
+        ("row", options.rows, {record.spec.row_id for record in records}),
+    ):
+        for name in asked:
+            if name not in known:
+                raise NotFoundError(unknown_name(kind, name, known))
+    chosen: dict[tuple[str, str], dict[tuple[str, str], InstrumentRecord]] = {}
+    for record in records:
+        spec = record.spec
+        if (options.units and spec.unit not in options.units) or (options.rows and spec.row_id not in options.rows):
+            continue
+        rows = chosen.setdefault((spec.dataset.sha256, spec.unit), {})
+        rows.setdefault((spec.row_id, record.settings_hash), record)  # records come in order of their repeats
+    datasets = _datasets(list(chosen), chosen, dataset_path)
+    jobs = []
+    for (sha256, unit), rows in chosen.items():
+        if sha256 in datasets:
+            name = unit if len(datasets) == 1 else f"{datasets[sha256].name}-{unit}"
+            jobs.append(UnitVideo(name, datasets[sha256], tuple(rows.values())))
+    if not jobs:
+        raise NotFoundError("no record is of the chosen unit and row together")
+    return sorted(jobs, key=lambda job: job.name)
+
+
+def _datasets(
+    keys: list[tuple[str, str]],
+    chosen: dict[tuple[str, str], dict[tuple[str, str], InstrumentRecord]],
+    moved: Path | None,
+) -> dict[str, InstrumentDataset]:
+    from surgbench.tasks.instrument.dataset import InstrumentDataset
+
+    first = {sha256: next(iter(chosen[sha256, unit].values())) for sha256, unit in reversed(keys)}
+    if moved is not None:
+        dataset = open_as(InstrumentDataset, moved)
+        if first and dataset.hash not in first:
+            names = ", ".join(f"'{record.spec.dataset.name}'" for record in first.values())
+            raise DatasetError(f"{moved}: not the dataset that the records were made on ({names}; its hash differs)")
+        return {dataset.hash: dataset}
+    found = {}
+    for sha256, record in first.items():
+        path, name = record.dataset_path, record.spec.dataset.name
+        if path is None or not Path(path).is_dir():
+            raise DatasetError(f"dataset '{name}' is not at {path} any more; say where it is: --dataset PATH")
+        found[sha256] = open_as(InstrumentDataset, path)
+        if found[sha256].hash != sha256:
+            raise DatasetError(f"{path}: changed since the records were made (its hash differs); --dataset OLD_PATH")
+    return found
+
+
+def draw(
+    job: UnitVideo, options: VideoOptions, out: Path, advance: Callable[[float], None] = lambda _: None
+) -> list[Path]:
+    """Draw one unit: ``<unit>.mp4``, ``<unit>.png`` and, if asked, ``<unit>-samples.png``.
+
+    Of runs with an auxiliary view there is a sheet of that view too, ``<unit>-<view>.png``.
+
+    Args:
+        job: From :func:`plan`.
+        options: What to draw.
+        out: Folder.
+        advance: Called with 1 for every frame of the video.
+
+    Returns:
+        The files written.
+    """
+    shots = make_shots(job.records)
+    scenery = Scenery(job.dataset, job.records[0])
+    # A run that failed at once may not have known how many frames there are.
+    total = min(job.frames or scenery.recording.frames, scenery.recording.frames)
+
+    def pictures() -> Iterable[Picture]:
+        for frame in range(total):
+            yield compose_frame(scenery, shots, frame, options.overlay)
+            advance(1)
+
+    video, sheet, samples = (out / f"{job.name}{ending}" for ending in (".mp4", ".png", "-samples.png"))
+    write_video(video, pictures(), options.fps or 1.0 / scenery.recording.dt_s)
+    written = [video, sheet]
+    save_png(sheet, contact_sheet(scenery, shots, spread_frames(total, options.columns)))
+    for view in sorted({record.spec.view for record in job.records if record.spec.view is not None}):
+        seen = [shot for shot in shots if shot.record.spec.view == view]
+        of_view = Scenery(job.dataset, job.records[0], view)
+        written.append(out / f"{job.name}-{view}.png")
+        save_png(written[-1], contact_sheet(of_view, seen, spread_frames(total, options.columns)))
+    if not options.samples:
+        return written
+    frames = spread_frames(total, min(SAMPLE_FRAMES, options.columns))
+    save_png(samples, sample_sheet(job.dataset, scenery, shots, frames))
+    return [*written, samples]
+
+
+def make_shots(records: Sequence[InstrumentRecord]) -> list[Shot]:
+    """Records of one unit with titles that tell them apart, and colours."""
+    ids = [record.spec.row_id for record in records]
+    shots = []
+    for number, record in enumerate(records):
+        row_id = record.spec.row_id
+        if ids.count(row_id) > 1:
+            row_id = f"{row_id} ({record.variant or record.settings_hash[:6]})"
+        shots.append(Shot(record, row_id, ESTIMATE_COLOURS[number % len(ESTIMATE_COLOURS)]))
+    return shots

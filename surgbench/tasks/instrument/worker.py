@@ -1,0 +1,218 @@
+"""The child process that a tracker runs in: it is sent observations, and answers with estimates.
+
+The engine's loop is predict, step, update: the filter predicts where the frame's search begins, the tracker
+estimates, the filter takes the estimate in. Whatever the tracker raises or returns wrong is told to the
+parent in one line, with the traceback beside it.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from surgbench.contract import Estimate, Observation, Scene, Trace, Traceable
+from surgbench.errors import InvalidAnswerError
+from surgbench.geometry import FloatArray
+from surgbench.processes.service import Tell, serve_parent
+from surgbench.randomness import generator
+from surgbench.registry import create, find
+from surgbench.state import JOINTS, STATE_SIZE, clip_joints, split_arms
+from surgbench.suite.settings import Plug
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What a child is told before the first frame.
+
+    Attributes:
+        tracker: And the other plug-ins by name, with their options.
+        scene: The sequence's constants.
+        tracker_axes: Named axes that seed the tracker's generator.
+        initialiser_axes: Those of the initialiser; not the tracker, so that all trackers start alike.
+    """
+
+    tracker: Plug
+    initialiser: Plug
+    filter: Plug
+    keypoints: Plug
+    scene: Scene
+    tracker_axes: dict[str, str | int]
+    initialiser_axes: dict[str, str | int]
+
+
+@dataclass(frozen=True)
+class Answer:
+    """One frame's estimate and what it took; ``latency_filter_ms`` is the filter's ``predict`` and ``update``."""
+
+    start: FloatArray
+    state: FloatArray
+    confidence: float
+    lost: bool
+    latency_ms: float
+    latency_optimise_ms: float
+    latency_keypoints_ms: float
+    latency_filter_ms: float
+
+
+def check_state(value: Any, size: int, who: str) -> FloatArray:
+    """A plug-in's answer as a finite ``(size,)`` array.
+
+    Raises:
+        InvalidAnswerError: It is something else; one line that says what.
+    """
+    try:
+        state = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InvalidAnswerError(f"{who} returned {type(value).__name__}, not an array of {size} numbers") from None
+    if state.shape != (size,):
+        raise InvalidAnswerError(f"{who} returned shape {state.shape}, not ({size},)")
+    if not np.isfinite(state).all():
+        raise InvalidAnswerError(f"{who} returned a state with NaN or infinity")
+    return state
+
+
+def check_confidence(value: Any, who: str) -> float:
+    """A plug-in's confidence as a finite number.
+
+    Raises:
+        InvalidAnswerError: It is something else.
+    """
+    try:
+        confidence = float(value)
+    except (TypeError, ValueError):
+        confidence = np.nan
+    if not np.isfinite(confidence):
+        raise InvalidAnswerError(f"{who} returned a confidence that is no number ({value!r})")
+    return confidence
+
+
+class Loop:
+    """Predict, step, update over one sequence.
+
+    Args:
+        setup: Plug-ins, scene and seeds.
+    """
+
+    def __init__(self, setup: Setup) -> None:
+        self._setup = setup
+        self._scene = setup.scene
+        self._size = STATE_SIZE * setup.scene.arms
+        self._tracker = self._make(setup.tracker)
+        self._filter = self._make(setup.filter)
+        self._keypoints = self._make(setup.keypoints)
+
+    @staticmethod
+    def _make(plug: Plug) -> Any:
+        return create(find(plug.kind, plug.reference), plug.options)
+
+    def initialise(
+        self, observation: Observation, truth: FloatArray | None, progress: Callable[[float], None]
+    ) -> FloatArray:
+        """State of the first frame by the initialiser, ``(9 * arms,)``, joints within their limits."""
+        setup, scene = self._setup, self._scene
+        self._keypoints.reset(scene)
+        observation = self._with_keypoints(observation)[0]
+        initialiser = self._make(setup.initialiser)
+        state = initialiser.initialise(scene, observation, generator(**setup.initialiser_axes), truth, progress)
+        return clip_joints(
+            check_state(state, self._size, f"initialiser '{setup.initialiser.name}'"), scene.joint_limits
+        )
+
+    def begin(self, observation: Observation, state: FloatArray, truth: FloatArray | None = None) -> None:
+        """Start at the first frame's state: warm up on a throw-away tracker, then reset everything.
+
+        Args:
+            observation: The first frame.
+            state: Its state, ``(9 * arms,)``.
+            truth: ``(T, 9 * arms)``, only for a filter with ``needs_truth``; then it starts the first frame too.
+        """
+        setup, scene = self._setup, self._scene
+        if truth is not None:
+            self._filter.give_truth(truth)
+            state = clip_joints(truth[0], scene.joint_limits)
+        self._keypoints.reset(scene)
+        observation = self._with_keypoints(observation)[0]
+        # Compilation and caches belong to nobody's latency.
+        warm = self._make(setup.tracker)
+        warm.reset(scene, state.copy(), generator(**setup.tracker_axes))
+        warm.step(replace(observation, start=state.copy()))
+        self._tracker.reset(scene, state.copy(), generator(**setup.tracker_axes))
+        self._filter.reset(scene, state.copy())
+        self._keypoints.reset(scene)
+        self._first = state
+
+    def step(self, observation: Observation, trace: Trace | None = None) -> Answer:
+        """One frame. ``observation.start`` is filled in here."""
+        begin = time.perf_counter()
+        start = self._first if observation.index == 0 else self._filter.predict()
+        filter_s = time.perf_counter() - begin
+        start = check_state(start, self._size, f"filter '{self._setup.filter.name}'")
+        if observation.joints is not None:
+            split_arms(start)[:, JOINTS] = observation.joints
+        start = clip_joints(start, self._scene.joint_limits)
+        observation, keypoints_s = self._with_keypoints(replace(observation, start=start.copy()))
+        if isinstance(self._tracker, Traceable):
+            self._tracker.trace = trace
+        before = time.perf_counter()
+        answer = self._tracker.step(observation)
+        optimise_s = time.perf_counter() - before
+        estimate = answer if isinstance(answer, Estimate) else Estimate(answer)
+        state = check_state(estimate.state, self._size, f"tracker '{self._setup.tracker.name}'")
+        confidence = check_confidence(estimate.confidence, f"tracker '{self._setup.tracker.name}'")
+        before = time.perf_counter()
+        self._filter.update(state.copy())
+        filter_s += time.perf_counter() - before
+        return Answer(
+            start=start,
+            state=state,
+            confidence=confidence,
+            lost=bool(estimate.lost),
+            latency_ms=1e3 * (time.perf_counter() - begin),
+            latency_optimise_ms=1e3 * optimise_s,
+            latency_keypoints_ms=1e3 * keypoints_s,
+            latency_filter_ms=1e3 * filter_s,
+        )
+
+    def _with_keypoints(self, observation: Observation) -> tuple[Observation, float]:
+        begin = time.perf_counter()
+        views = tuple(
+            replace(view, keypoints=tuple(self._keypoints.detect(observation, view))) for view in observation.views
+        )
+        return replace(observation, views=views), time.perf_counter() - begin
+
+
+class Service:
+    """Answers the parent's messages.
+
+    They are ``("setup", Setup)``, ``("first", observation, truth of this frame for the initialiser, truth of all frames
+    for the filter)``, the two ``None`` unless the plug-in needs them, and ``("step", observation)``.
+    """
+
+    def __init__(self) -> None:
+        self._loop: Loop | None = None
+
+    def __call__(self, tell: Tell, kind: str, *content: Any) -> tuple[Any, ...]:
+        """One message's answer."""
+        if kind == "setup":
+            self._loop = Loop(*content)
+            return ("ready",)
+        assert self._loop is not None
+        if kind == "first":
+            begin = time.perf_counter()
+            observation, first_truth, truth = content
+            state = self._loop.initialise(observation, first_truth, lambda fraction: tell("progress", fraction))
+            elapsed_s = time.perf_counter() - begin
+            self._loop.begin(observation, state, truth)
+            return ("initialised", state, elapsed_s)
+        return ("answer", self._loop.step(*content))
+
+
+if __name__ == "__main__":
+    # What crosses to the parent must be of this module's importable self, not of __main__.
+    from surgbench.tasks.instrument import worker
+
+    serve_parent(worker.Service())

@@ -1,0 +1,1 @@
+"""A camera-holding arm that keeps a moving feature in view."""

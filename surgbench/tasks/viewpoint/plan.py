@@ -1,0 +1,69 @@
+"""Rows of the viewpoint task, complete."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+from surgbench.errors import ConfigError
+from surgbench.suite.asked import Conditions
+from surgbench.suite.plug import plug
+from surgbench.suite.settings import Settings
+from surgbench.suite.slices import cut
+from surgbench.tasks.viewpoint.asked import Registration, ViewpointRow
+from surgbench.tasks.viewpoint.dataset import ViewpointDataset
+
+
+@dataclass(frozen=True)
+class ViewpointSettings(Settings):
+    """Settings of a row of the viewpoint task.
+
+    Attributes:
+        registration: How the touched points correct the camera arm's base.
+        missing_face: The no-go zone as in the published code.
+        photographs_hz: How many stereo pictures a second the feature is looked for in.
+    """
+
+    registration: Registration
+    missing_face: bool
+    photographs_hz: float = 0.0
+
+    task: ClassVar[str] = "viewpoint"
+
+    def spec(self) -> dict[str, Any]:
+        """Adds what the controller is told of the world."""
+        spec = {**super().spec(), "registration": self.registration, "missing_face": self.missing_face}
+        return {**spec, "photographs_hz": self.photographs_hz} if self.photographs_hz else spec
+
+    def words(self) -> list[str]:
+        """Adds what the controller is told of the world."""
+        words = super().words()
+        if self.registration != "translation":
+            words.append(f"registration {self.registration}")
+        if self.missing_face:
+            words.append("zone without its fourth side")
+        if self.photographs_hz:
+            words.append(f"{self.photographs_hz:g} pictures a second")
+        return words
+
+
+def complete(row: ViewpointRow, conditions: Conditions, dataset: ViewpointDataset) -> ViewpointSettings:
+    """Look up a row's controller, check its options, and fill in the defaults.
+
+    Raises:
+        NotFoundError: A name that is not registered.
+        ConfigError: A wrong option, or something that this task has not.
+    """
+    if conditions.device != "cpu" or conditions.arms != "single":
+        raise ConfigError(f"--device and --arms are for the instrument task; '{dataset.name}' is of the viewpoint task")
+    tracker = plug("tracker", row.tracker, row.options, "viewpoint")
+    return ViewpointSettings(
+        row_id=row.row_id or tracker.name,
+        tracker=tracker,
+        conditions=conditions,
+        sequences=row.sequences,
+        frames_limit=cut(row, [dataset.sequence(unit.sequence).frames for unit in dataset.units()]),
+        registration=row.registration,
+        missing_face=row.missing_face,
+        photographs_hz=row.photographs_hz,
+    )

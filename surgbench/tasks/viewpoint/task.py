@@ -1,0 +1,122 @@
+"""The viewpoint task, as the engine sees it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from surgbench.conformance.subject import Check
+from surgbench.report.column import Column
+from surgbench.report.row import Row
+from surgbench.reproduce.sheet import Sheet
+from surgbench.suite.asked import Conditions
+from surgbench.suite.running import Run
+from surgbench.suite.settings import Job
+from surgbench.task import Task
+from surgbench.tasks.viewpoint.asked import ViewpointRow
+
+if TYPE_CHECKING:
+    from surgbench.tasks.viewpoint.dataset import ViewpointDataset
+    from surgbench.tasks.viewpoint.format import ViewpointManifest
+    from surgbench.tasks.viewpoint.plan import ViewpointSettings
+    from surgbench.tasks.viewpoint.records import ViewpointRecord
+
+
+class ViewpointTask(Task):
+    """Command a camera-holding arm so that a moving feature stays in view."""
+
+    name: ClassVar[str] = "viewpoint"
+    summary: ClassVar[str] = "command a camera-holding arm so that a moving feature stays in view"
+    # A row for every subset of the samples, and rows of the pictures for each camera.
+    parts: ClassVar[Mapping[str, Any]] = {"subset": "all", "camera": None, "pixels": None}
+    first_check: ClassVar[str] = "plain trial"
+
+    @property
+    def manifest(self) -> type[ViewpointManifest]:
+        """Trials."""
+        from surgbench.tasks.viewpoint.format import ViewpointManifest
+
+        return ViewpointManifest
+
+    def open(self, folder: Path, manifest: ViewpointManifest, sha256: str) -> ViewpointDataset:
+        """A dataset of trials."""
+        from surgbench.tasks.viewpoint.dataset import ViewpointDataset
+
+        return ViewpointDataset(folder, manifest, sha256)
+
+    def validate(self, dataset: ViewpointDataset, progress: Callable[[float], None]) -> list[str]:
+        """Tables, poses, what is true over a trial."""
+        from surgbench.tasks.viewpoint.validate import validate
+
+        return validate(dataset, progress)
+
+    @property
+    def row(self) -> type[ViewpointRow]:
+        """Registration, the zone as published, pictures."""
+        return ViewpointRow
+
+    def complete(self, row: ViewpointRow, conditions: Conditions, dataset: ViewpointDataset) -> ViewpointSettings:
+        """See :func:`surgbench.tasks.viewpoint.plan.complete`."""
+        from surgbench.tasks.viewpoint.plan import complete
+
+        return complete(row, conditions, dataset)
+
+    def execute(self, job: Job, dataset: ViewpointDataset, run: Run) -> dict[str, Any]:
+        """See :func:`surgbench.tasks.viewpoint.execute.execute`."""
+        from surgbench.tasks.viewpoint.execute import execute
+
+        return execute(job, dataset, run)
+
+    def timed(self, row: ViewpointRow) -> ViewpointRow:
+        """Without pictures, which are taken after the run."""
+        return row.model_copy(update={"photographs_hz": 0.0})
+
+    @property
+    def record(self) -> type[ViewpointRecord]:
+        """A record of a controller."""
+        from surgbench.tasks.viewpoint.records import ViewpointRecord
+
+        return ViewpointRecord
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Errors, rules that were broken, what the pictures show."""
+        from surgbench.tasks.viewpoint.rows import VIEWPOINT_COLUMNS
+
+        return VIEWPOINT_COLUMNS
+
+    @property
+    def shown(self) -> tuple[Column, ...]:
+        """The article's measures."""
+        from surgbench.tasks.viewpoint.columns import COLUMNS
+
+        return COLUMNS
+
+    def rows(self, head: Row, records: list[ViewpointRecord]) -> list[Row]:
+        """One row for every subset of the samples, and for every camera."""
+        from surgbench.tasks.viewpoint.rows import viewpoint_rows
+
+        return viewpoint_rows(head, records)
+
+    def rank(self, row: Row) -> float | None:
+        """How far the feature is from the optical axis."""
+        error: float | None = row["vva_deg"]
+        return error
+
+    def on_page(self, row: Row) -> bool:
+        """Rows of the pictures are for files."""
+        return row["camera"] is None
+
+    @property
+    def sheet(self) -> Sheet:
+        """Tables beside those of the article on AutoCam."""
+        from surgbench.tasks.viewpoint.sheet import VIEWPOINT_SHEET
+
+        return VIEWPOINT_SHEET
+
+    def checks(self) -> Mapping[str, Check]:
+        """Small worlds of all kinds."""
+        from surgbench.tasks.viewpoint.conformance.checks import VIEWPOINT_CHECKS
+
+        return VIEWPOINT_CHECKS

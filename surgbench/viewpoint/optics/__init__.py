@@ -1,0 +1,1 @@
+"""What cameras of the viewpoint task see: stereo pictures, markers, calibration, the console's view."""
