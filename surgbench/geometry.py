@@ -20,6 +20,12 @@ def wrap_angle(angle_rad: FloatArray | float) -> FloatArray:
 
     Returns:
         Same shape, radians.
+
+    Example:
+        >>> import numpy as np
+        >>> from surgbench.geometry import wrap_angle
+        >>> wrap_angle(np.array([0.5, 1.0, 1.5]) * np.pi) / np.pi
+        array([ 0.5, -1. , -0.5])
     """
     wrapped: FloatArray = np.mod(np.asarray(angle_rad, dtype=np.float64) + np.pi, 2 * np.pi) - np.pi
     return wrapped
@@ -33,6 +39,17 @@ def look_at_rotation(angles_rad: FloatArray) -> FloatArray:
 
     Returns:
         ``(..., 3, 3)``: ``Ry(gamma) Rx(alpha) Rz(beta)``.
+
+    Example:
+        The last column is where the shaft points, in the camera frame: away from the camera and a little down, then
+        to the right and a little up.
+
+        >>> import numpy as np
+        >>> from surgbench.geometry import look_at_rotation
+        >>> angles = np.array([[-0.1, 0.0, 0.0], [0.1, 0.0, np.pi / 2]])
+        >>> look_at_rotation(angles)[:, :, 2].round(3)
+        array([[ 0.   ,  0.1  ,  0.995],
+               [ 0.995, -0.1  ,  0.   ]])
     """
     angles = np.asarray(angles_rad, dtype=np.float64)
     (sa, sb, sg), (ca, cb, cg) = np.moveaxis(np.sin(angles), -1, 0), np.moveaxis(np.cos(angles), -1, 0)
@@ -53,6 +70,12 @@ def look_at_angles(rotation: FloatArray) -> FloatArray:
 
     Returns:
         ``(..., 3)`` alpha in [-pi/2, pi/2], beta and gamma in [-pi, pi], radians.
+
+    Example:
+        >>> import numpy as np
+        >>> from surgbench.geometry import look_at_angles, look_at_rotation
+        >>> look_at_angles(look_at_rotation(np.array([0.3, -2.0, 0.8]))).round(9)
+        array([ 0.3, -2. ,  0.8])
     """
     r = np.asarray(rotation, dtype=np.float64)
     alpha = np.arcsin(np.clip(-r[..., 1, 2], -1.0, 1.0))
@@ -69,6 +92,12 @@ def rotation_angle(rotation: FloatArray) -> FloatArray:
 
     Returns:
         ``(...)`` radians in [0, pi].
+
+    Example:
+        >>> import numpy as np
+        >>> from surgbench.geometry import rotation_angle, rotation_from_vector
+        >>> print(rotation_angle(rotation_from_vector(np.array([0.0, 3e-9, 4e-9]))).round(15))  # rad
+        5e-09
     """
     r = np.asarray(rotation, dtype=np.float64)
     trace = np.trace(r, axis1=-2, axis2=-1)
@@ -80,12 +109,23 @@ def rotation_angle(rotation: FloatArray) -> FloatArray:
         ],
         axis=-1,
     )
+    # 2 sin and 2 cos of the angle. The cosine alone is flat at 0 and pi, and says nothing of an angle below 1e-8.
     angle: FloatArray = np.arctan2(np.linalg.norm(skew, axis=-1), trace - 1.0)
     return angle
 
 
 def rigid_transform(rotation: FloatArray, translation_m: FloatArray) -> FloatArray:
-    """``(..., 4, 4)`` transforms of ``(..., 3, 3)`` rotations and ``(..., 3)`` translations."""
+    """``(..., 4, 4)`` transforms of ``(..., 3, 3)`` rotations and ``(..., 3)`` translations.
+
+    Example:
+        A tool 13 cm before the camera, turned by a quarter about the optical axis: its x axis points down.
+
+        >>> import numpy as np
+        >>> from surgbench.geometry import rigid_transform
+        >>> T_cam_tool = rigid_transform(np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]]), np.array([0.0, 0.0, 0.13]))
+        >>> T_cam_tool @ [0.01, 0.0, 0.0, 1.0]  # 1 cm along the tool's x axis, in the camera frame
+        array([0.  , 0.01, 0.13, 1.  ])
+    """
     transform = np.zeros((*np.shape(translation_m)[:-1], 4, 4))
     transform[..., :3, :3] = rotation
     transform[..., :3, 3] = translation_m
@@ -94,13 +134,28 @@ def rigid_transform(rotation: FloatArray, translation_m: FloatArray) -> FloatArr
 
 
 def inverse_transform(transform: FloatArray) -> FloatArray:
-    """Inverses of rigid transforms ``(..., 4, 4)``."""
+    """Inverses of rigid transforms ``(..., 4, 4)``.
+
+    Example:
+        >>> import numpy as np
+        >>> from surgbench.geometry import inverse_transform, rigid_transform
+        >>> T_cam_tool = rigid_transform(np.diag([-1.0, -1.0, 1.0]), np.array([0.02, 0.01, 0.13]))
+        >>> inverse_transform(T_cam_tool)[:3, 3]  # where the camera is in the tool's frame, metres
+        array([ 0.02,  0.01, -0.13])
+    """
     back = np.swapaxes(transform[..., :3, :3], -1, -2)
     return rigid_transform(back, -(back @ transform[..., :3, 3, None])[..., 0])
 
 
 def is_rigid(transform: FloatArray, tolerance: float = 1e-6) -> bool:
-    """Whether a ``(4, 4)`` matrix is a rotation and a translation."""
+    """Whether a ``(4, 4)`` matrix is a rotation and a translation.
+
+    Example:
+        >>> import numpy as np
+        >>> from surgbench.geometry import is_rigid
+        >>> is_rigid(np.eye(4)), is_rigid(np.diag([1.0, 1.0, -1.0, 1.0]))  # a mirror is none
+        (True, False)
+    """
     rotation = transform[:3, :3]
     orthogonal = np.abs(rotation @ rotation.T - np.eye(3)).max() <= tolerance
     return bool(orthogonal and np.linalg.det(rotation) > 0 and (transform[3] == [0, 0, 0, 1]).all())
@@ -114,6 +169,14 @@ def rotation_from_vector(vector_rad: FloatArray) -> FloatArray:
 
     Returns:
         ``(..., 3, 3)``.
+
+    Example:
+        The x axis turned by 60 degrees about z, towards y:
+
+        >>> import numpy as np
+        >>> from surgbench.geometry import rotation_from_vector
+        >>> rotation_from_vector(np.array([0.0, 0.0, np.pi / 3]))[:, 0].round(3)
+        array([0.5  , 0.866, 0.   ])
     """
     vector = np.asarray(vector_rad, dtype=np.float64)
     angle = np.linalg.norm(vector, axis=-1)[..., None, None]
@@ -136,6 +199,12 @@ def rotation_vector(rotation: FloatArray) -> FloatArray:
 
     Returns:
         ``(..., 3)``: the axis times the angle, of length at most pi.
+
+    Example:
+        >>> import numpy as np
+        >>> from surgbench.geometry import rotation_vector
+        >>> rotation_vector(np.diag([-1.0, 1.0, -1.0])) / np.pi  # half a turn about y
+        array([0., 1., 0.])
     """
     r = np.asarray(rotation, dtype=np.float64)
     xx, yy, zz = r[..., 0, 0], r[..., 1, 1], r[..., 2, 2]

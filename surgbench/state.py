@@ -32,24 +32,61 @@ class JointLimits:
     Attributes:
         lower_rad: ``(3,)``, or ``(arms, 3)`` for the boxes of several arms.
         upper_rad: Same shape.
+
+    Example:
+        Wrist pitch, wrist yaw and half jaw angle; an instrument has its own as ``search_limits``.
+
+        >>> import numpy as np
+        >>> from surgbench.state import JointLimits
+        >>> limits = JointLimits(np.array([-1.5, -1.4, 0.0]), np.array([1.5, 1.4, 1.5]))
     """
 
     lower_rad: FloatArray
     upper_rad: FloatArray
 
     def clip(self, joints_rad: FloatArray) -> FloatArray:
-        """Clip ``(..., 3)`` or ``(..., arms, 3)`` joints into the box."""
+        """Clip ``(..., 3)`` or ``(..., arms, 3)`` joints into the box.
+
+        Example:
+            >>> import numpy as np
+            >>> from surgbench.state import JointLimits
+            >>> limits = JointLimits(np.array([-1.5, -1.4, 0.0]), np.array([1.5, 1.4, 1.5]))
+            >>> limits.clip(np.array([0.2, -2.0, -0.1]))
+            array([ 0.2, -1.4,  0. ])
+        """
         return np.clip(joints_rad, self.lower_rad, self.upper_rad)
 
 
 def split_arms(state: FloatArray) -> FloatArray:
-    """View a state of one or two arms as ``(..., arms, 9)``."""
+    """View a state of one or two arms as ``(..., arms, 9)``.
+
+    Example:
+        Written to, the view writes into the state.
+
+        >>> import numpy as np
+        >>> from surgbench.state import JOINTS, POSITION, split_arms
+        >>> state = np.zeros(18)  # two arms, the left one first
+        >>> split_arms(state)[1, JOINTS] = [0.1, 0.2, 0.3]
+        >>> state[9:]
+        array([0. , 0. , 0. , 0. , 0. , 0. , 0.1, 0.2, 0.3])
+        >>> split_arms(state)[:, POSITION].shape
+        (2, 3)
+    """
     array = np.asarray(state, dtype=np.float64)
     return array.reshape(*array.shape[:-1], -1, STATE_SIZE)
 
 
 def clip_joints(state: FloatArray, limits: JointLimits) -> FloatArray:
-    """Copy of ``(..., 9 * arms)`` states with the joints clipped to ``limits``."""
+    """Copy of ``(..., 9 * arms)`` states with the joints clipped to ``limits``.
+
+    Example:
+        >>> import numpy as np
+        >>> from surgbench.state import JointLimits, clip_joints
+        >>> limits = JointLimits(np.array([-1.5, -1.4, 0.0]), np.array([1.5, 1.4, 1.5]))
+        >>> clip_joints(np.array([0.3, 0.4, 0.8, 0.0, 0.0, 0.13, 0.2, -2.0, -0.1]), limits)
+        array([ 0.3 ,  0.4 ,  0.8 ,  0.  ,  0.  ,  0.13,  0.2 , -1.4 ,  0.  ])
+    """
+    # In C order, or what split_arms returns might be a copy of the copy.
     clipped = np.array(state, dtype=np.float64, order="C")
     arms = split_arms(clipped)
     arms[..., JOINTS] = limits.clip(arms[..., JOINTS])
@@ -66,6 +103,12 @@ def twin(state: FloatArray) -> FloatArray:
 
     Returns:
         ``(..., 9)``; applied twice it returns the state up to a full turn of beta.
+
+    Example:
+        >>> import numpy as np
+        >>> from surgbench.state import twin
+        >>> twin(np.array([0.3, -0.4, 0.8, 0.0, 0.0, 0.13, 0.2, -0.1, 0.5])).round(3)
+        array([ 0.3  ,  2.742,  0.8  ,  0.   ,  0.   ,  0.13 , -0.2  ,  0.1  ,  0.5  ])
     """
     turned = np.array(state, dtype=np.float64)
     turned[..., BETA] += np.pi
@@ -83,6 +126,19 @@ class StateSpace:
         limits: Joint box of the instruments.
         scale: ``(9,)`` step of each component (``STATE_SCALE`` unless told).
         arms: 1 or 2; vectors have ``9 * arms`` components.
+
+    Example:
+        130 mm are 130 steps of 1 mm, and whatever is sampled around a vector is a state within the limits. Here all
+        joints are on theirs, where a step moves them little, and back inwards.
+
+        >>> import numpy as np
+        >>> from surgbench.state import JOINTS, JointLimits, StateSpace
+        >>> space = StateSpace(JointLimits(np.array([-1.5, -1.4, 0.0]), np.array([1.5, 1.4, 1.5])))
+        >>> vector = space.encode(np.array([0.3, 0.4, 0.8, 0.0, 0.0, 0.13, 1.5, -1.4, 0.0]))
+        >>> vector.round(9)
+        array([ 30.,   4.,  80.,   0.,   0., 130.,  15., -14.,   0.])
+        >>> space.decode(vector + 1.0)[JOINTS].round(3)
+        array([ 1.492, -1.391,  0.004])
     """
 
     def __init__(self, limits: JointLimits, scale: FloatArray = STATE_SCALE, arms: int = 1) -> None:
@@ -96,6 +152,8 @@ class StateSpace:
         joints = split_arms(free)[..., JOINTS]
         span = self.limits.upper_rad - self.limits.lower_rad
         fraction = (joints - self.limits.lower_rad) / span
+        # The phase of the cosine, stretched to the joint's range: an angle again, which agrees with the joint on both
+        # limits and in the middle, so that natural steps keep their meaning.
         split_arms(free)[..., JOINTS] = self.limits.lower_rad + span / np.pi * np.arccos(1.0 - 2.0 * fraction)
         return free / self.scale
 

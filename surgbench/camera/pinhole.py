@@ -26,6 +26,14 @@ class Camera(Section):
 
     A point ``(x, y, z)`` of the camera frame (metres; x right, y down, z forward) is seen at
     ``u = fx x / z + cx``, ``v = fy y / z + cy``; pixel ``(column 0, row 0)`` has its centre at (0, 0).
+
+    Example:
+        >>> from surgbench.camera import Camera
+        >>> camera = Camera(width=160, height=120, fx=200, fy=200, cx=80, cy=60)  # pixels
+        >>> camera.matrix
+        array([[200.,   0.,  80.],
+               [  0., 200.,  60.],
+               [  0.,   0.,   1.]])
     """
 
     width: Annotated[int, Field(gt=0, le=16384)]
@@ -49,6 +57,16 @@ class Camera(Section):
 
         Returns:
             ``(..., 2)`` pixels (u, v); NaN for points at or behind the camera plane.
+
+        Example:
+            On the axis, 2 cm to the right and 1 cm further down, and behind the camera:
+
+            >>> from surgbench.camera import Camera
+            >>> camera = Camera(width=160, height=120, fx=200, fy=200, cx=80, cy=60)
+            >>> camera.project([[0, 0, 0.1], [0.02, 0.01, 0.1], [0, 0, -0.1]])
+            array([[ 80.,  60.],
+                   [120.,  80.],
+                   [ nan,  nan]])
         """
         points = np.asarray(points_cam, dtype=np.float64)
         z = np.where(points[..., 2] > 0, points[..., 2], np.nan)
@@ -74,6 +92,16 @@ class Camera(Section):
         Returns:
             ``(..., 2)`` pixels (u, v), inside the image or not; NaN for points at or behind the camera plane, and for
             those beyond :attr:`widest`.
+
+        Example:
+            A barrel distortion leaves the axis where it is and draws the rest inwards; :meth:`project` knows nothing
+            of it.
+
+            >>> from surgbench.camera import Camera
+            >>> lens = Camera(width=160, height=120, fx=200, fy=200, cx=80, cy=60, distortion=(-0.2, 0, 0, 0))
+            >>> lens.see([[0, 0, 0.1], [0.02, 0.01, 0.1]]).round(3)
+            array([[ 80. ,  60. ],
+                   [119.6,  79.8]])
         """
         straight = self.project(points_cam)
         if not any(self.distortion):
@@ -88,7 +116,16 @@ class Camera(Section):
         return np.asarray(bent, dtype=np.float64).reshape(straight.shape)
 
     def contains(self, pixels: FloatArray, margin_px: float = 0.0) -> np.ndarray:
-        """Which pixels (``(..., 2)``) lie inside the image, at least ``margin_px`` from its border."""
+        """Which pixels (``(..., 2)``) lie inside the image, at least ``margin_px`` from its border.
+
+        Example:
+            >>> import numpy as np
+            >>> from surgbench.camera import Camera
+            >>> camera = Camera(width=160, height=120, fx=200, fy=200, cx=80, cy=60)
+            >>> camera.contains(np.array([[-0.5, 0.0], [-0.6, 0.0], [159.5, 119.5]]))
+            array([ True, False,  True])
+        """
+        # Centres are integers, so that the first pixel begins half a pixel before 0 and the last ends half one later.
         u, v = pixels[..., 0], pixels[..., 1]
         inside: np.ndarray = (
             (u >= margin_px - 0.5)
@@ -104,6 +141,7 @@ def _widest(distortion: tuple[float, ...]) -> float:
     """:attr:`Camera.widest` of coefficients."""
     if not any(distortion):
         return float("inf")
+    # OpenCV's order: the third and fourth are tangential, and those after the eighth not radial either.
     k1, k2, _, _, k3, k4, k5, k6 = (*distortion, *(0.0,) * 8)[:8]
     tangent = np.linspace(0.0, _WIDEST, _STEPS + 1)
     square = tangent**2
