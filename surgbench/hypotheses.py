@@ -38,6 +38,18 @@ def hypothesis_states(
 
     Returns:
         ``(n, 9)``.
+
+    Example:
+        A shaft that leans by 45 degrees to the right, its wrist 13 cm away in the image's middle:
+
+        >>> import numpy as np
+        >>> from surgbench.camera import Camera
+        >>> from surgbench.hypotheses import hypothesis_states
+        >>> camera = Camera(width=160, height=120, fx=200, fy=200, cx=80, cy=60)
+        >>> none, lean, far = np.zeros(1), np.array([np.pi / 4]), np.array([0.13])
+        >>> states = hypothesis_states(camera, none, lean, none, far, ([80], [60]), np.array([[0.1, 0.2, 0.3]]))
+        >>> states[0, 2:].round(3)  # alpha and beta are 0
+        array([0.785, 0.   , 0.   , 0.13 , 0.1  , 0.2  , 0.3  ])
     """
     states = np.empty((len(distance_m), STATE_SIZE))
     states[:, ANGLES] = look_at_angles(_rot_z(roll_camera_rad) @ _rot_y(elevation_rad) @ _rot_z(roll_local_rad))

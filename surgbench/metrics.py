@@ -43,6 +43,14 @@ def choose_twin(estimate: FloatArray, truth: FloatArray) -> FloatArray:
 
     Returns:
         Same shape. A beta that equals the true one up to full turns and rounding is the true one.
+
+    Example:
+        >>> import numpy as np
+        >>> from surgbench.metrics import choose_twin
+        >>> from surgbench.state import twin
+        >>> truth = np.array([0.3, 0.4, 0.8, 0.0, 0.0, 0.13, 0.2, -0.1, 0.3])
+        >>> choose_twin(twin(truth), truth)
+        array([ 0.3 ,  0.4 ,  0.8 ,  0.  ,  0.  ,  0.13,  0.2 , -0.1 ,  0.3 ])
     """
     estimate, truth = np.asarray(estimate, dtype=np.float64), np.asarray(truth, dtype=np.float64)
     other = twin(estimate)
@@ -64,6 +72,13 @@ def rotation_error(estimate_angles: FloatArray, true_angles: FloatArray) -> Floa
 
     Returns:
         ``(...)`` radians in [0, pi]; exactly 0 for equal angles.
+
+    Example:
+        >>> import numpy as np
+        >>> from surgbench.metrics import rotation_error
+        >>> true_angles = np.array([0.3, 0.4, 0.8])
+        >>> rotation_error(true_angles + [[0.1, 0, 0], [0, -0.1, 0], [0, 2 * np.pi, 0]], true_angles).round(9)
+        array([0.1, 0.1, 0. ])
     """
     estimate, true = look_at_rotation(estimate_angles), look_at_rotation(true_angles)
     # Written out, since a matrix product may round (i, j) and (j, i) differently, and then R^T R has an angle.
@@ -86,6 +101,20 @@ def pose_errors(
         mean distance of the two tips (m), absolute joint errors (rad; q3 is the half jaw angle), and the sum of
         both tips' pixel distances under the better assignment. That last one is NaN where a tip is behind
         the camera.
+
+    Example:
+        2 mm too far to the right:
+
+        >>> import numpy as np
+        >>> from surgbench.camera import Camera
+        >>> from surgbench.instrument import load_instrument
+        >>> from surgbench.metrics import pose_errors
+        >>> camera = Camera(width=160, height=120, fx=200, fy=200, cx=80, cy=60)
+        >>> truth = np.array([[0.3, 0.4, 0.8, 0.0, 0.0, 0.13, 0.2, -0.1, 0.3]])
+        >>> estimate = truth + [0, 0, 0, 0.002, 0, 0, 0, 0, 0]
+        >>> errors = pose_errors(load_instrument("large_needle_driver"), camera, estimate, truth)
+        >>> errors["rotation_error_rad"], errors["translation_error_m"], errors["tip_error_m"].round(9)
+        (array([0.]), array([0.002]), array([0.002]))
     """
     truth = np.asarray(truth, dtype=np.float64)
     chosen = choose_twin(estimate, truth)
@@ -112,6 +141,13 @@ def keypoint_error(estimate_px: FloatArray, true_px: FloatArray) -> FloatArray:
 
     Returns:
         ``(...)`` pixels; NaN where a tip is.
+
+    Example:
+        Tips have no order: one is met, the other missed by 3 columns and 4 rows.
+
+        >>> from surgbench.metrics import keypoint_error
+        >>> print(keypoint_error([[80, 60], [100, 60]], [[103, 64], [80, 60]]))
+        5.0
     """
     estimate, true = np.asarray(estimate_px, dtype=np.float64), np.asarray(true_px, dtype=np.float64)
     straight = np.linalg.norm(estimate - true, axis=-1).sum(axis=-1)
@@ -130,6 +166,13 @@ def mask_error(area_estimate: ArrayLike, area_reference: ArrayLike, overlap: Arr
 
     Returns:
         Same shape, 0 to 1; 0 where both masks are empty.
+
+    Example:
+        Half of 300 pixels in common, 450 in one or the other; then nothing, and nothing at all:
+
+        >>> from surgbench.metrics import mask_error
+        >>> mask_error([300, 300, 0], [300, 300, 0], [150, 0, 0]).round(3)
+        array([0.667, 1.   , 0.   ])
     """
     common = np.asarray(overlap, dtype=np.float64)
     union = np.asarray(area_estimate, dtype=np.float64) + np.asarray(area_reference, dtype=np.float64) - common
@@ -150,6 +193,16 @@ def jitter(tips: FloatArray, dt_s: float) -> float:
 
     Returns:
         m/s²; NaN for fewer than three frames.
+
+    Example:
+        To and fro by 1 mm every 0.1 s: the velocity changes by 2 cm/s from frame to frame.
+
+        >>> import numpy as np
+        >>> from surgbench.metrics import jitter
+        >>> tips = np.zeros((6, 2, 3))
+        >>> tips[1::2, :, 0] = 0.001
+        >>> round(jitter(tips, dt_s=0.1), 9)
+        0.2
     """
     midpoint = np.asarray(tips, dtype=np.float64).mean(axis=-2)
     if len(midpoint) < 3:
@@ -172,6 +225,15 @@ def lag(positions: FloatArray, true_positions: FloatArray, dt_s: float) -> float
 
     Returns:
         Seconds; NaN without motion, which fewer than three frames are.
+
+    Example:
+        Each estimate is where the instrument was a frame, 0.1 s, ago; then where it is to be in a frame.
+
+        >>> import numpy as np
+        >>> from surgbench.metrics import lag
+        >>> true = np.outer(np.linspace(0.0, 0.01, 11), [1.0, 2.0, 2.0])  # metres
+        >>> round(lag(true[:-1], true[1:], dt_s=0.1), 9), round(lag(true[1:], true[:-1], dt_s=0.1), 9)
+        (0.1, -0.1)
     """
     estimate, true = np.asarray(positions, dtype=np.float64), np.asarray(true_positions, dtype=np.float64)
     velocity = (true[2:] - true[:-2]) / (2 * dt_s)

@@ -26,6 +26,17 @@ class ChangeOfView:
 
     Args:
         T_view_cam: ``(4, 4)`` from the reference camera's frame to the view's.
+
+    Example:
+        A camera turned by a quarter about its own axis has its y axis where the other's x axis is, and sees the
+        instrument turned by as much.
+
+        >>> import numpy as np
+        >>> from surgbench.change_of_view import ChangeOfView
+        >>> change = ChangeOfView(np.array([[0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]))
+        >>> moved = change.states(np.array([0, 0, 0, 0.01, 0, 0.13, 0.2, -0.1, 0.3]))
+        >>> moved[1:].round(3)  # all but alpha, which stays 0
+        array([ 1.571,  0.   ,  0.   ,  0.01 ,  0.13 ,  0.2  , -0.1  ,  0.3  ])
     """
 
     def __init__(self, T_view_cam: FloatArray) -> None:
@@ -52,6 +63,16 @@ class ChangeOfView:
 
         Returns:
             ``(n, 9 * arms)``.
+
+        Example:
+            What grows with y in the turned camera of :class:`ChangeOfView` grows with x in the reference camera.
+
+            >>> import numpy as np
+            >>> from surgbench.change_of_view import ChangeOfView
+            >>> change = ChangeOfView(np.array([[0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]))
+            >>> state = np.array([0, 0, 0, 0.01, 0, 0.13, 0.2, -0.1, 0.3])
+            >>> change.pull_back(state, np.array([[0, 0, 0, 0, 2.0, 0, 0, 0, 0]]))
+            array([[0., 0., 0., 2., 0., 0., 0., 0., 0.]])
         """
         if self._same:
             return gradient
@@ -133,7 +154,16 @@ def _pull(states: Any, T: Any, gradients: Any) -> None:
 
 
 def angle_rates(angles_rad: FloatArray) -> FloatArray:
-    """``(..., 3, 3)``: rates of ``(..., 3)`` look-at angles, a row each, for an angular velocity in their frame."""
+    """``(..., 3, 3)``: rates of ``(..., 3)`` look-at angles, a row each, for an angular velocity in their frame.
+
+    Example:
+        Of a shaft along the optical axis: alpha turns it about x, beta about z, and gamma about y.
+
+        >>> import numpy as np
+        >>> from surgbench.change_of_view import angle_rates
+        >>> angle_rates(np.zeros(3)) @ [0.1, 0.2, 0.3]  # rad/s
+        array([0.1, 0.3, 0.2])
+    """
     alpha, gamma = angles_rad[..., 0], angles_rad[..., 2]
     zero, one = np.zeros_like(gamma), np.ones_like(gamma)
     level = np.stack([np.sin(gamma), zero, np.cos(gamma)], axis=-1)

@@ -34,6 +34,17 @@ def summarise(sequences: Sequence[Sequence[FloatArray]]) -> Summary:
 
     Returns:
         The summary. A sequence's mean is the mean of its repeats' means, so that every sequence weighs the same.
+
+    Example:
+        Two sequences, run once each, whose means are 2 and 5; a frame has no value.
+
+        >>> import numpy as np
+        >>> from surgbench.report.summary import summarise
+        >>> summary = summarise([[np.array([1.0, 3.0])], [np.array([5.0, np.nan])]])
+        >>> summary.mean, round(summary.sem, 9)
+        (3.5, 1.5)
+        >>> round(summary.std, 3)  # of 1, 3 and 5
+        1.633
     """
     means, values = [], []
     for repeats in sequences:
