@@ -34,6 +34,11 @@ class LossWeights(Section):
         appearance: lambda_app / N.
         keypoints: lambda_kpts / N, per pixel of distance.
         keypoint_tolerance_px: tau, distance that costs nothing.
+
+    Example:
+        >>> from surgbench.objective import LossWeights
+        >>> LossWeights(keypoints=0.0)  # the masks alone
+        LossWeights(appearance=1e-06, keypoints=0.0, keypoint_tolerance_px=10.0)
     """
 
     appearance: Annotated[Weight, Field(description="lambda_app of eq. 6, per pixel of the image")] = 1e-6
@@ -51,6 +56,16 @@ def keypoint_loss(observed_px: FloatArray, projected_px: FloatArray, tolerance_p
 
     Returns:
         ``(...)`` pixels; infinite where a tip lies behind the camera.
+
+    Example:
+        In place, in place but the other way round, and 15 px too low, which is 5 px too much for both tips and for
+        their centre:
+
+        >>> import numpy as np
+        >>> from surgbench.objective import keypoint_loss
+        >>> observed = np.array([[80.0, 60.0], [100.0, 60.0]])
+        >>> keypoint_loss(observed, np.stack([observed, observed[::-1], observed + [0, 15]]), tolerance_px=10.0)
+        array([ 0.,  0., 15.])
     """
 
     def excess(difference: FloatArray) -> FloatArray:
@@ -89,6 +104,7 @@ def keypoint_slope(observed_px: FloatArray, projected_px: FloatArray, tolerance_
 
     nearer = (total(straight) <= total(swapped))[..., None, None]
     centre = projected_px.mean(axis=-2, keepdims=True) - observed_px.mean(axis=-2)
+    # Half, for each of the two tips moves their centre by half as much.
     return np.asarray(direction(np.where(nearer, straight, swapped)) + direction(centre) / 2)
 
 
@@ -152,6 +168,7 @@ class ViewLoss:
         """Eq. 6 of ``(n, 9 * arms)`` states, pixels; and how many pixels they cover, and cover of the mask."""
         observed = self.reference.area
         area, overlap = self.evaluator.sum_over(self.change.states(states), self.reference)
+        # Squared differences of binary images: one for each pixel that is in one of the masks only.
         loss = area + observed - 2 * overlap + self.appearance * np.abs(area - observed)
         return np.asarray(loss, dtype=np.float64), area, overlap
 
@@ -197,6 +214,22 @@ class Objective:
 
     Raises:
         ConfigError: The scene's device is not there.
+
+    Example:
+        Two candidates against the second frame of a sequence: where the instrument is, and where it was before.
+
+        >>> from surgbench.conformance.scenes import make_play
+        >>> from surgbench.objective import LossWeights, Objective
+        >>> play = make_play()  # a needle driver in slow motion: scene, observations, true states
+        >>> objective = Objective(play.scene, LossWeights())
+        >>> objective.observe(play.observations[1])
+        >>> losses, overlaps = objective(play.truth[[1, 0]])
+        >>> float(losses[0]), float(overlaps[0])
+        (0.0, 1.0)
+        >>> bool(losses[1] > 100)  # pixels
+        True
+        >>> objective.gradient(play.truth[[1, 0]]).shape  # pixels per radian or metre
+        (2, 9)
     """
 
     def __init__(self, scene: Scene, weights: LossWeights) -> None:

@@ -28,6 +28,14 @@ def load_instrument(name_or_path: str | Path) -> Instrument:
     Raises:
         NotFoundError: No built-in instrument has this name.
         ConfigError: The file or one of its meshes is missing or wrong; the message names file and key.
+
+    Example:
+        >>> from surgbench.instrument import load_instrument
+        >>> driver = load_instrument("large_needle_driver")
+        >>> [link.name for link in driver.spec.links]
+        ['shaft', 'wrist', 'yaw', 'jaw_right', 'jaw_left']
+        >>> driver.search_limits.upper_rad  # wrist pitch, wrist yaw, half jaw angle
+        array([1.5707, 1.3963, 1.5707])
     """
     return _load_file(locate("instruments", "instrument", name_or_path))
 

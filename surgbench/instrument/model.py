@@ -101,6 +101,16 @@ class Instrument:
 
         Returns:
             ``(..., L, 4, 4)`` T_cam_link, links in the file's order.
+
+        Example:
+            The wrist-yaw axis is 9.1 mm beyond the wrist-pitch axis, as seen from the camera here.
+
+            >>> import numpy as np
+            >>> from surgbench.instrument import load_instrument
+            >>> driver = load_instrument("large_needle_driver")
+            >>> T_cam_link = driver.link_transforms(np.array([0, 0, 0, 0, 0, 0.13, 0, 0, 0]))
+            >>> T_cam_link[driver.link_index["yaw"], 2, 3].round(6).item()  # metres along the optical axis
+            0.1391
         """
         states = np.asarray(states, dtype=np.float64)
         lead = states.shape[:-1]
@@ -130,6 +140,17 @@ class Instrument:
 
         Returns:
             ``(..., P, 3)`` metres.
+
+        Example:
+            The shaft, 1 cm above the wrist:
+
+            >>> import numpy as np
+            >>> from surgbench.instrument import load_instrument
+            >>> from surgbench.instrument.spec import LinkPoint
+            >>> driver = load_instrument("large_needle_driver")
+            >>> point = LinkPoint(link="shaft", point_m=(0.0, 0.0, -0.01))
+            >>> driver.points_cam(np.array([0, 0, 0, 0, 0, 0.13, 0, 0, 0]), (point,)).round(6)
+            array([[0.  , 0.  , 0.12]])
         """
         transforms = self.link_transforms(states)
         placed = []
@@ -139,7 +160,22 @@ class Instrument:
         return np.stack(placed, axis=-2)
 
     def tips_cam(self, states: FloatArray) -> FloatArray:
-        """The two jaw tips (keypoints of eq. 8) in the camera frame, ``(..., 2, 3)`` metres."""
+        """The two jaw tips (keypoints of eq. 8) in the camera frame, ``(..., 2, 3)`` metres.
+
+        Example:
+            Straight ahead, jaws closed, then opened by 30 degrees each; they open along y:
+
+            >>> import numpy as np
+            >>> from surgbench.instrument import load_instrument
+            >>> driver = load_instrument("large_needle_driver")
+            >>> states = np.array([[0, 0, 0, 0, 0, 0.13, 0, 0, half_jaw] for half_jaw in (0, np.pi / 6)])
+            >>> (driver.tips_cam(states)[:, :, 1:] * 1000).round(1)  # y and z of both, millimetres
+            array([[[  0.4, 148.1],
+                    [ -0.4, 148.1]],
+            <BLANKLINE>
+                   [[  4.8, 146.7],
+                    [ -4.8, 146.7]]])
+        """
         return self.points_cam(states, self.spec.tips)
 
     def skeleton_cam(self, states: FloatArray) -> FloatArray:

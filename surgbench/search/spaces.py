@@ -14,6 +14,14 @@ class SearchSpaces:
     Args:
         scene: Joint limits and number of arms.
         readings_scale: Factor on the joints' steps where readings are given.
+
+    Example:
+        >>> from surgbench.conformance.scenes import make_play
+        >>> from surgbench.tracking.spaces import SearchSpaces
+        >>> play = make_play(readings=True)  # a needle driver in slow motion
+        >>> space = SearchSpaces(play.scene, readings_scale=0.1).of(play.observations[0])
+        >>> space.scale  # rad, m, rad; joints a tenth of what they are without readings
+        array([0.01 , 0.1  , 0.01 , 0.001, 0.001, 0.001, 0.01 , 0.01 , 0.005])
     """
 
     def __init__(self, scene: Scene, readings_scale: float) -> None:

@@ -66,6 +66,23 @@ def areas(states: Tensor, evaluator: SilhouetteEvaluator, reference: Reference) 
     Returns:
         ``(N,)`` area and ``(N,)`` overlap in pixels, of the states' type and device: the exact counts of
         :meth:`SilhouetteEvaluator.score`, whose gradient is that of :meth:`SilhouetteEvaluator.gradient`.
+
+    Example:
+        The shaft of :class:`SilhouetteEvaluator`, which loses 16 pixels a millimetre that it goes away:
+
+        >>> import numpy as np
+        >>> import torch
+        >>> from surgbench.camera import Camera
+        >>> from surgbench.instrument import load_instrument
+        >>> from surgbench.silhouette import Reference, SilhouetteEvaluator
+        >>> from surgbench.silhouette.autograd import areas
+        >>> camera = Camera(width=160, height=120, fx=200, fy=200, cx=80, cy=60)
+        >>> evaluator = SilhouetteEvaluator([load_instrument("large_needle_driver")], camera)
+        >>> states = torch.tensor([[0, 0, np.pi / 2, 0.08, 0, 0.13, 0, 0, 0]], requires_grad=True)
+        >>> area, _ = areas(states, evaluator, Reference(np.ones((120, 160), dtype=bool)))
+        >>> area.sum().backward()
+        >>> area.item(), round(states.grad[0, 5].item() / 1000)
+        (2080.0, -16)
     """
     _check(states)
     area, overlap = _Areas.apply(states, evaluator, reference)

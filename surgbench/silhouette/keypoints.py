@@ -27,6 +27,19 @@ class KeypointProjector:
     Args:
         instruments: One per arm; states have ``9 * len(instruments)`` components.
         camera: The view.
+
+    Example:
+        Straight ahead, the closed jaws' tips are 0.4 mm to both sides of the axis, 148.1 mm away.
+
+        >>> import numpy as np
+        >>> from surgbench.camera import Camera
+        >>> from surgbench.instrument import load_instrument
+        >>> from surgbench.silhouette import KeypointProjector
+        >>> camera = Camera(width=160, height=120, fx=200, fy=200, cx=80, cy=60)
+        >>> projector = KeypointProjector([load_instrument("large_needle_driver")], camera)
+        >>> projector.project([[0, 0, 0, 0, 0, 0.13, 0, 0, 0]]).round(2)
+        array([[[[80.  , 60.54],
+                 [80.  , 59.46]]]])
     """
 
     def __init__(self, instruments: Sequence[Instrument], camera: Camera) -> None:

@@ -53,6 +53,21 @@ class VisibilityEvaluator:
 
     Raises:
         ValueError: A link's mesh is not closed.
+
+    Example:
+        Two shafts that lie level across the whole image, one behind the other; the nearer one hides it.
+
+        >>> import numpy as np
+        >>> from surgbench.camera import Camera
+        >>> from surgbench.instrument import load_instrument
+        >>> from surgbench.silhouette import VisibilityEvaluator
+        >>> camera = Camera(width=160, height=120, fx=200, fy=200, cx=80, cy=60)
+        >>> visibility = VisibilityEvaluator([load_instrument("large_needle_driver")] * 2, camera)
+        >>> states = [0, 0, np.pi / 2, 0.08, 0, 0.16, 0, 0, 0] + [0, 0, np.pi / 2, 0.08, 0, 0.13, 0, 0, 0]
+        >>> visibility.silhouettes(states).sum(axis=(1, 2)), visibility.visible_masks(states).sum(axis=(1, 2))
+        (array([1760, 2080]), array([   0, 2080]))
+        >>> visibility.front_fractions(states)
+        array([0., 1.])
     """
 
     def __init__(self, instruments: Sequence[Instrument], camera: Camera, near_m: float = NEAR_M) -> None:
