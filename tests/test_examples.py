@@ -1,0 +1,193 @@
+"""Examples in docstrings run as printed, and the Python of the documents compiles, imports and runs."""
+
+from __future__ import annotations
+
+import ast
+import doctest
+import importlib
+import importlib.util
+import pkgutil
+import re
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from surgbench.conformance.scenes import make_play
+from surgbench.conformance.worlds import circling
+from surgbench.registry import create, find
+from surgbench.state import POSITION
+from surgbench.viewpoint.scores import course_errors
+from surgbench.viewpoint.simulator import Simulation, make_scene
+
+ROOT = next(folder for folder in Path(__file__).parents if (folder / "pyproject.toml").is_file())
+PACKAGES = ("surgbench", "surgbench.trackers", "surgbench.generators")
+FLAGS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
+
+# What the author of a plug-in meets: each has an example in its own docstring.
+WITH_EXAMPLE = (
+    "surgbench.camera.Camera",
+    "surgbench.camera.Camera.project",
+    "surgbench.camera.Camera.see",
+    "surgbench.camera.Camera.contains",
+    "surgbench.change_of_view.ChangeOfView",
+    "surgbench.change_of_view.ChangeOfView.pull_back",
+    "surgbench.change_of_view.angle_rates",
+    "surgbench.contract.Estimate",
+    "surgbench.contract.Initialiser",
+    "surgbench.contract.InstrumentTracker",
+    "surgbench.contract.KeypointSource",
+    "surgbench.contract.Observation",
+    "surgbench.contract.Plugin",
+    "surgbench.contract.Scene",
+    "surgbench.contract.StateFilter",
+    "surgbench.contract.View",
+    "surgbench.geometry.inverse_transform",
+    "surgbench.geometry.is_rigid",
+    "surgbench.geometry.look_at_angles",
+    "surgbench.geometry.look_at_rotation",
+    "surgbench.geometry.rigid_transform",
+    "surgbench.geometry.rotation_angle",
+    "surgbench.geometry.rotation_from_vector",
+    "surgbench.geometry.rotation_vector",
+    "surgbench.geometry.wrap_angle",
+    "surgbench.hypotheses.hypothesis_states",
+    "surgbench.instrument.Instrument.link_transforms",
+    "surgbench.instrument.Instrument.points_cam",
+    "surgbench.instrument.Instrument.tips_cam",
+    "surgbench.instrument.load_instrument",
+    "surgbench.metrics.choose_twin",
+    "surgbench.metrics.jitter",
+    "surgbench.metrics.keypoint_error",
+    "surgbench.metrics.lag",
+    "surgbench.metrics.mask_error",
+    "surgbench.metrics.pose_errors",
+    "surgbench.metrics.rotation_error",
+    "surgbench.metrics.summarise",
+    "surgbench.objective.LossWeights",
+    "surgbench.objective.Objective",
+    "surgbench.objective.keypoint_loss",
+    "surgbench.randomness.generator",
+    "surgbench.randomness.seed_from",
+    "surgbench.silhouette.KeypointProjector",
+    "surgbench.silhouette.Reference",
+    "surgbench.silhouette.SilhouetteEvaluator",
+    "surgbench.silhouette.SilhouetteEvaluator.contour_points",
+    "surgbench.silhouette.SilhouetteEvaluator.gradient",
+    "surgbench.silhouette.VisibilityEvaluator",
+    "surgbench.silhouette.autograd.areas",
+    "surgbench.silhouette.iou",
+    "surgbench.state.JointLimits",
+    "surgbench.state.JointLimits.clip",
+    "surgbench.state.StateSpace",
+    "surgbench.state.clip_joints",
+    "surgbench.state.split_arms",
+    "surgbench.state.twin",
+    "surgbench.tracking.spaces.SearchSpaces",
+    "surgbench.viewpoint.contract.ViewCommand",
+    "surgbench.viewpoint.contract.ViewpointTracker",
+)
+
+
+def _raise(name: str) -> None:
+    raise ImportError(f"{name} cannot be imported, so that its modules would be left out")
+
+
+@cache
+def modules() -> dict[str, Path]:
+    """Every module and its file. None but packages are imported: some are what worker processes run."""
+    found: dict[str, Path] = {}
+    for package in PACKAGES:
+        folders = importlib.import_module(package).__path__
+        for info in pkgutil.walk_packages(folders, f"{package}.", onerror=_raise):
+            spec = importlib.util.find_spec(info.name)
+            assert spec is not None, info.name
+            assert spec.origin is not None, info.name
+            found[info.name] = Path(spec.origin)
+    return found
+
+
+def examples_of(module: str) -> int:
+    """How many examples its text has, in docstrings or anywhere."""
+    return len(re.findall(r"^\s*>>> ", modules()[module].read_text(encoding="utf-8"), flags=re.MULTILINE))
+
+
+@pytest.mark.parametrize("name", sorted(name for name in modules() if examples_of(name)))
+def test_examples_of_a_module(name: str) -> None:
+    """All of them, each docstring on its own: it imports what it uses."""
+    module = importlib.import_module(name)
+    runner = doctest.DocTestRunner(optionflags=FLAGS)
+    said: list[str] = []
+    for test in doctest.DocTestFinder(exclude_empty=True).find(module, globs={}):
+        runner.run(test, out=said.append)
+    assert runner.summarize(verbose=False).failed == 0, "".join(said)
+    assert runner.tries == examples_of(name), "an example stands where doctest does not find it"
+
+
+def test_no_module_is_left_out() -> None:
+    """A folder without ``__init__.py`` would hide its modules."""
+    found = {file.resolve() for file in modules().values()}
+    for package in PACKAGES:
+        for folder in importlib.import_module(package).__path__:
+            root = Path(folder).resolve()
+            assert {file.resolve() for file in root.rglob("*.py")} - found <= {root / "__init__.py"}
+
+
+@pytest.mark.parametrize("name", WITH_EXAMPLE)
+def test_it_has_an_example(name: str) -> None:
+    text = pkgutil.resolve_name(name).__doc__ or ""
+    assert re.search(r"^ *Example:$", text, flags=re.MULTILINE)
+    assert doctest.DocTestParser().get_examples(text)
+
+
+# --- documents
+
+
+def blocks(document: Path) -> list[tuple[int, str]]:
+    """Line and text of a document's blocks of Python."""
+    text = document.read_text(encoding="utf-8")
+    matches = re.finditer(r"^```python\n(.*?)^```$", text, flags=re.MULTILINE | re.DOTALL)
+    return [(text.count("\n", 0, match.start(1)) + 1, match[1]) for match in matches]
+
+
+def load(text: str, name: str, folder: Path) -> Any:
+    """An instance of the class that a document shows, as the suite makes one of a user's file."""
+    (source,) = [block for _, block in blocks(ROOT / text) if f"class {name}" in block]
+    (folder / "mine.py").write_text(source, encoding="utf-8")
+    return create(find("tracker", f"{folder / 'mine.py'}:{name}"), {})
+
+
+@pytest.mark.parametrize(
+    "source",
+    [
+        pytest.param(source, id=f"{document.name}:{line}")
+        for document in (ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md")))
+        for line, source in blocks(document)
+    ],
+)
+def test_python_in_a_document_compiles_and_finds_what_it_imports(source: str) -> None:
+    tree = ast.parse(source)
+    compile(tree, "document", "exec", dont_inherit=True)
+    tree.body = [node for node in tree.body if isinstance(node, ast.Import | ast.ImportFrom)]
+    exec(compile(tree, "document", "exec", dont_inherit=True), {})
+
+
+@pytest.mark.parametrize(("document", "name"), [("README.md", "Still"), ("CONTRIBUTING.md", "MineTracker")])
+def test_a_tracker_in_a_document_tracks(document: str, name: str, tmp_path: Path) -> None:
+    play, tracker = make_play(frames=2), load(document, name, tmp_path)
+    tracker.reset(play.scene, play.truth[0], np.random.default_rng(0))
+    for observation in play.observations:
+        answer = tracker.step(observation)
+        state = np.asarray(getattr(answer, "state", answer))
+        assert np.linalg.norm((state - play.truth[0])[POSITION]) < 0.01
+
+
+def test_the_controller_in_a_document_sees_the_feature(tmp_path: Path) -> None:
+    trial, controller = circling(10), load("docs/viewpoint.md", "Straight", tmp_path)
+    scene = make_scene(trial)
+    course = Simulation(controller, trial, scene, np.random.default_rng(0)).run()
+    errors = course_errors(course, trial, scene)
+    assert errors["vva_deg"].max() < 5
+    assert errors["fd_mm"].max() < 5
