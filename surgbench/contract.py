@@ -157,7 +157,6 @@ class InstrumentTracker(Plugin):
         one_view: It looks at the reference view alone; then it is not run where there are more.
     """
 
-    task: ClassVar[str] = "instrument"
     one_view: ClassVar[bool] = False
 
     def reset(self, scene: Scene, state: FloatArray, rng: np.random.Generator) -> None:

@@ -1,6 +1,6 @@
 """Kinematics of all six joints of a patient-side manipulator: forward, Jacobian, and two inverses.
 
-The first four joints are those of :mod:`surgbench.instrument.arm`, whose frames this continues with the two of the wrist
+The first four joints are those of :mod:`surgbench.instrument.arm`, whose frames this continues with two of the wrist
 (modified Denavit-Hartenberg parameters, jhu-dvrk/sawIntuitiveResearchKit, share/kinematic/PSM.json, share/tool):
 
 ==  ===========  =====  ===============  =========  =

@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 import pickle
-import random
-import sys
-from collections.abc import Callable
 from typing import Any
 
-import numpy as np
-
 from surgbench.conformance.conduct import START_TIMEOUT_S
+from surgbench.conformance.global_generators import global_generators
 from surgbench.conformance.subject import Alive, CheckFailedError, Subject
 from surgbench.processes.child import Child, ChildProblemError
 from surgbench.tasks.instrument.conformance.scenes import play_of
@@ -37,25 +33,6 @@ def no_global_randomness(subject: Subject, alive: Alive) -> str:
     if changed:
         raise CheckFailedError(f"uses or seeds the global generator of {' and '.join(changed)}: draw from reset's rng")
     return f"looked at {', '.join(generators)}"
-
-
-_Generator = tuple[Callable[[], Any], Callable[[], Any], Callable[[Any], Any]]
-
-
-def global_generators() -> dict[str, _Generator]:
-    """Of every library that is loaded: how to get its state, draw from it, and put a state back."""
-    generators: dict[str, _Generator] = {
-        "random": (random.getstate, random.random, random.setstate),
-        "numpy": (np.random.get_state, np.random.random, np.random.set_state),
-    }
-    torch = sys.modules.get("torch")
-    if torch is not None:
-        generators["torch"] = (
-            lambda: torch.get_rng_state().numpy(),
-            lambda: torch.rand(1),
-            lambda state: torch.set_rng_state(torch.from_numpy(state)),
-        )
-    return generators
 
 
 def resets(subject: Subject, alive: Alive) -> str:

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from surgbench.conformance.global_generators import global_generators
 from surgbench.conformance.subject import Alive, CheckFailedError, DoubtError, Subject
 from surgbench.geometry import FloatArray, inverse_transform
 from surgbench.randomness import generator
-from surgbench.tasks.instrument.conformance.isolation import global_generators
 from surgbench.tasks.viewpoint.conformance.worlds import circling, random_trial
 from surgbench.viewpoint.contract import ViewpointObservation, ViewpointScene
 from surgbench.viewpoint.placement import look_at
