@@ -23,6 +23,7 @@ from surgbench.state import JointLimits
 Mask = NDArray[np.bool_]
 
 
+# No lambda: views are pickled on their way to a tracker's process.
 def no_image() -> None:
     """The image of a view that has none."""
 
@@ -38,6 +39,18 @@ class View:
         instance_masks: One mask per arm where the recording tells the arms apart, else ``None``.
         keypoints: Per arm ``(2, 2)`` tip pixels in no particular order, or ``None`` where not both were seen.
         image: Call it for the ``(height, width, 3)`` uint8 RGB image; ``None`` where there are no images.
+
+    Example:
+        The reference camera, an empty mask, and the two tips of one arm:
+
+        >>> import numpy as np
+        >>> from surgbench.camera import Camera
+        >>> from surgbench.contract import View
+        >>> camera = Camera(width=160, height=120, fx=200, fy=200, cx=80, cy=60)
+        >>> tips = np.array([[80.0, 60.0], [84.0, 61.0]])  # pixels (u, v)
+        >>> view = View(camera, np.eye(4), np.zeros((120, 160), dtype=bool), keypoints=(tips,))
+        >>> view.image() is None, view.instance_masks is None
+        (True, True)
     """
 
     camera: Camera
@@ -71,6 +84,18 @@ class Observation:
         kinematics: ``(arms, 4, 4)`` T_base_tool: the robot's own reading of where each arm's wrist-pitch frame is in
             the frame of its base (:attr:`Scene.T_cam_base`), cable stretch and drift included; ``None`` where the
             dataset has none, or without readings.
+
+    Example:
+        What ``step`` is called with, here with joint readings:
+
+        >>> from surgbench.conformance.scenes import make_play
+        >>> frame = make_play(readings=True).observations[3]  # a needle driver in slow motion, 30 frames a second
+        >>> frame.index, round(frame.timestamp_s, 9), len(frame.views)
+        (3, 0.1, 1)
+        >>> frame.mask.shape == (frame.views[0].camera.height, frame.views[0].camera.width)
+        True
+        >>> frame.start.shape, frame.joints.shape, frame.kinematics is None
+        ((9,), (3,), True)
     """
 
     index: int
@@ -100,6 +125,20 @@ class Scene:
         device: Where candidates may be scored: ``"cpu"``, or ``"cuda"`` where the user asks for it.
         T_cam_base: ``(arms, 4, 4)`` nominal place of each arm's base frame in the reference camera, as a hand-eye
             calibration gives it; ``None`` where the dataset has no kinematics.
+
+    Example:
+        One needle driver before one camera:
+
+        >>> import numpy as np
+        >>> from surgbench.camera import Camera
+        >>> from surgbench.contract import Scene, View
+        >>> from surgbench.instrument import load_instrument
+        >>> camera = Camera(width=160, height=120, fx=200, fy=200, cx=80, cy=60)
+        >>> view = View(camera, np.eye(4), np.zeros((120, 160), dtype=bool))
+        >>> driver = load_instrument("large_needle_driver")
+        >>> scene = Scene((driver,), (view,), (driver.search_limits,), dt_s=1 / 30, arms=1)
+        >>> scene.joint_limits.upper_rad  # a row for each arm
+        array([[1.5707, 1.3963, 1.5707]])
     """
 
     instruments: tuple[Instrument, ...]
@@ -127,6 +166,13 @@ class Estimate:
         state: ``(9 * arms,)``.
         confidence: 0 to 1.
         lost: The tracker itself thinks it has lost the instrument.
+
+    Example:
+        13 cm before the camera, the shaft along its axis, joints straight and jaws closed; not to be trusted:
+
+        >>> import numpy as np
+        >>> from surgbench.contract import Estimate
+        >>> estimate = Estimate(np.array([0, 0, 0, 0, 0, 0.13, 0, 0, 0]), confidence=0.2, lost=True)
     """
 
     state: FloatArray
@@ -135,7 +181,24 @@ class Estimate:
 
 
 class Plugin:
-    """Base of everything the registry finds by name. ``Config`` holds its options, each with a default."""
+    """Base of everything the registry finds by name. ``Config`` holds its options, each with a default.
+
+    Example:
+        What ``--set mine.samples=100`` does:
+
+        >>> from pydantic import BaseModel
+        >>> from surgbench.contract import Plugin
+        >>> class Mine(Plugin):
+        ...     name = "mine"
+        ...
+        ...     class Config(BaseModel):
+        ...         samples: int = 50
+        ...
+        ...     def __init__(self, config):
+        ...         self.config = config
+        >>> Mine(Mine.Config(samples=100)).config.samples
+        100
+    """
 
     name: ClassVar[str]
     summary: ClassVar[str] = ""
@@ -155,6 +218,26 @@ class InstrumentTracker(Plugin):
 
     Attributes:
         one_view: It looks at the reference view alone; then it is not run where there are more.
+
+    Example:
+        One that believes that nothing moves, and what it is off by in the second frame of a needle driver in motion:
+
+        >>> import numpy as np
+        >>> from surgbench.conformance.scenes import make_play
+        >>> from surgbench.contract import Estimate, InstrumentTracker
+        >>> class Still(InstrumentTracker):
+        ...     name = "still"
+        ...
+        ...     def reset(self, scene, state, rng):
+        ...         self.state = state.copy()
+        ...
+        ...     def step(self, observation):
+        ...         return Estimate(self.state, lost=not observation.mask.any())
+        >>> play, tracker = make_play(frames=2), Still()
+        >>> tracker.reset(play.scene, play.truth[0], np.random.default_rng(0))
+        >>> estimates = [tracker.step(observation) for observation in play.observations]
+        >>> (estimates[1].state - play.truth[1])[3:6].round(6)  # metres
+        array([-0.0004, -0.0003, -0.0002])
     """
 
     one_view: ClassVar[bool] = False
@@ -234,7 +317,22 @@ class Importer(Protocol):
 
 @runtime_checkable
 class Initialiser(Protocol):
-    """Finds the state of a sequence's first frame."""
+    """Finds the state of a sequence's first frame.
+
+    Example:
+        13 cm before the camera, wherever the mask is:
+
+        >>> import numpy as np
+        >>> from surgbench.contract import Initialiser
+        >>> class Ahead:
+        ...     name = "ahead"
+        ...     needs_truth = False
+        ...
+        ...     def initialise(self, scene, observation, rng, truth, progress):
+        ...         return np.tile([0, 0, 0, 0, 0, 0.13, 0, 0, 0], scene.arms)
+        >>> isinstance(Ahead(), Initialiser)
+        True
+    """
 
     name: ClassVar[str]
     needs_truth: ClassVar[bool]
@@ -261,7 +359,33 @@ class Initialiser(Protocol):
 
 @runtime_checkable
 class StateFilter(Protocol):
-    """Predicts where the next frame's search begins and smooths nothing that is reported."""
+    """Predicts where the next frame's search begins and smooths nothing that is reported.
+
+    Example:
+        The change from the last frame to this one, once more:
+
+        >>> import numpy as np
+        >>> from surgbench.contract import StateFilter
+        >>> class Again:
+        ...     name = "again"
+        ...
+        ...     def reset(self, scene, state):
+        ...         self.last = self.state = state
+        ...
+        ...     def predict(self):
+        ...         return 2 * self.state - self.last
+        ...
+        ...     def update(self, estimate):
+        ...         self.last, self.state = self.state, estimate
+        ...         return estimate
+        >>> isinstance(Again(), StateFilter)
+        True
+        >>> again, state = Again(), np.array([0, 0, 0, 0, 0, 0.13, 0, 0, 0])
+        >>> again.reset(None, state)
+        >>> _ = again.update(state + [0, 0, 0, 0.001, 0, 0, 0, 0, 0])
+        >>> again.predict()[3:6]  # metres
+        array([0.002, 0.   , 0.13 ])
+    """
 
     name: ClassVar[str]
 
@@ -298,7 +422,23 @@ class OracleFilter(StateFilter, Protocol):
 
 @runtime_checkable
 class KeypointSource(Protocol):
-    """Finds the two tips of each arm in a view."""
+    """Finds the two tips of each arm in a view.
+
+    Example:
+        It never finds any:
+
+        >>> from surgbench.contract import KeypointSource
+        >>> class Blind:
+        ...     name = "blind"
+        ...
+        ...     def reset(self, scene):
+        ...         self.arms = scene.arms
+        ...
+        ...     def detect(self, observation, view):
+        ...         return (None,) * self.arms
+        >>> isinstance(Blind(), KeypointSource)
+        True
+    """
 
     name: ClassVar[str]
 

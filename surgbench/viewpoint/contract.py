@@ -75,6 +75,14 @@ class ViewCommand:
         active: Names of the rules that were active in the controller's own view, for the timeline; of
             :data:`surgbench.viewpoint.placement.CONSTRAINTS`.
         solver: Whether it had to optimise.
+
+    Example:
+        Be at these joints of the arm at the next step, at rest: yaw, pitch (rad), insertion (m), roll, wrist pitch,
+        wrist yaw (rad).
+
+        >>> import numpy as np
+        >>> from surgbench.viewpoint.contract import ViewCommand
+        >>> command = ViewCommand(np.array([0.0, 0.1, 0.12, 0.0, 0.0, 0.0]), mode="servo")
     """
 
     target: FloatArray
@@ -85,7 +93,26 @@ class ViewCommand:
 
 
 class ViewpointTracker(Plugin):
-    """Commands a camera-holding arm so that a moving feature stays in view, at the wanted distance and angle."""
+    """Commands a camera-holding arm so that a moving feature stays in view, at the wanted distance and angle.
+
+    Example:
+        Straight before the feature, 11 cm along its normal (its y axis), whatever the rules say:
+
+        >>> import numpy as np
+        >>> from surgbench.viewpoint.contract import ViewpointObservation, ViewpointTracker
+        >>> from surgbench.viewpoint.placement import naive_pose
+        >>> class Straight(ViewpointTracker):
+        ...     name = "straight"
+        ...
+        ...     def reset(self, scene, joints, rng): ...
+        ...
+        ...     def step(self, observation):
+        ...         return naive_pose(observation.T_world_feature, distance_m=0.11)
+        >>> still, T_world_feature = np.zeros(6), np.eye(4)
+        >>> T_world_camera = Straight().step(ViewpointObservation(0, 0.0, T_world_feature, still, still, still))
+        >>> T_world_camera[:3, 3]  # metres
+        array([0.  , 0.11, 0.  ])
+    """
 
     task: ClassVar[str] = "viewpoint"
 
