@@ -88,7 +88,7 @@ class Observation:
     Example:
         What ``step`` is called with, here with joint readings:
 
-        >>> from surgbench.conformance.scenes import make_play
+        >>> from surgbench.tasks.instrument.conformance.scenes import make_play
         >>> frame = make_play(readings=True).observations[3]  # a needle driver in slow motion, 30 frames a second
         >>> frame.index, round(frame.timestamp_s, 9), len(frame.views)
         (3, 0.1, 1)
@@ -223,7 +223,7 @@ class InstrumentTracker(Plugin):
         One that believes that nothing moves, and what it is off by in the second frame of a needle driver in motion:
 
         >>> import numpy as np
-        >>> from surgbench.conformance.scenes import make_play
+        >>> from surgbench.tasks.instrument.conformance.scenes import make_play
         >>> from surgbench.contract import Estimate, InstrumentTracker
         >>> class Still(InstrumentTracker):
         ...     name = "still"

@@ -218,7 +218,7 @@ class Objective:
     Example:
         Two candidates against the second frame of a sequence: where the instrument is, and where it was before.
 
-        >>> from surgbench.conformance.scenes import make_play
+        >>> from surgbench.tasks.instrument.conformance.scenes import make_play
         >>> from surgbench.objective import LossWeights, Objective
         >>> play = make_play()  # a needle driver in slow motion: scene, observations, true states
         >>> objective = Objective(play.scene, LossWeights())

@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from surgbench.conformance.scenes import make_play
-from surgbench.conformance.worlds import circling
 from surgbench.registry import create, find
 from surgbench.state import POSITION
+from surgbench.tasks.instrument.conformance.scenes import make_play
+from surgbench.tasks.viewpoint.conformance.worlds import circling
 from surgbench.viewpoint.scores import course_errors
 from surgbench.viewpoint.simulator import Simulation, make_scene
 
@@ -32,9 +32,9 @@ WITH_EXAMPLE = (
     "surgbench.camera.Camera.project",
     "surgbench.camera.Camera.see",
     "surgbench.camera.Camera.contains",
-    "surgbench.change_of_view.ChangeOfView",
-    "surgbench.change_of_view.ChangeOfView.pull_back",
-    "surgbench.change_of_view.angle_rates",
+    "surgbench.camera.change_of_view.ChangeOfView",
+    "surgbench.camera.change_of_view.ChangeOfView.pull_back",
+    "surgbench.camera.change_of_view.angle_rates",
     "surgbench.contract.Estimate",
     "surgbench.contract.Initialiser",
     "surgbench.contract.InstrumentTracker",
@@ -65,7 +65,7 @@ WITH_EXAMPLE = (
     "surgbench.metrics.mask_error",
     "surgbench.metrics.pose_errors",
     "surgbench.metrics.rotation_error",
-    "surgbench.metrics.summarise",
+    "surgbench.report.summary.summarise",
     "surgbench.objective.LossWeights",
     "surgbench.objective.Objective",
     "surgbench.objective.keypoint_loss",
@@ -85,7 +85,7 @@ WITH_EXAMPLE = (
     "surgbench.state.clip_joints",
     "surgbench.state.split_arms",
     "surgbench.state.twin",
-    "surgbench.tracking.spaces.SearchSpaces",
+    "surgbench.search.spaces.SearchSpaces",
     "surgbench.viewpoint.contract.ViewCommand",
     "surgbench.viewpoint.contract.ViewpointTracker",
 )

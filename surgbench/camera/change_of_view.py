@@ -32,7 +32,7 @@ class ChangeOfView:
         instrument turned by as much.
 
         >>> import numpy as np
-        >>> from surgbench.change_of_view import ChangeOfView
+        >>> from surgbench.camera.change_of_view import ChangeOfView
         >>> change = ChangeOfView(np.array([[0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]))
         >>> moved = change.states(np.array([0, 0, 0, 0.01, 0, 0.13, 0.2, -0.1, 0.3]))
         >>> moved[1:].round(3)  # all but alpha, which stays 0
@@ -68,7 +68,7 @@ class ChangeOfView:
             What grows with y in the turned camera of :class:`ChangeOfView` grows with x in the reference camera.
 
             >>> import numpy as np
-            >>> from surgbench.change_of_view import ChangeOfView
+            >>> from surgbench.camera.change_of_view import ChangeOfView
             >>> change = ChangeOfView(np.array([[0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]))
             >>> state = np.array([0, 0, 0, 0.01, 0, 0.13, 0.2, -0.1, 0.3])
             >>> change.pull_back(state, np.array([[0, 0, 0, 0, 2.0, 0, 0, 0, 0]]))
@@ -160,7 +160,7 @@ def angle_rates(angles_rad: FloatArray) -> FloatArray:
         Of a shaft along the optical axis: alpha turns it about x, beta about z, and gamma about y.
 
         >>> import numpy as np
-        >>> from surgbench.change_of_view import angle_rates
+        >>> from surgbench.camera.change_of_view import angle_rates
         >>> angle_rates(np.zeros(3)) @ [0.1, 0.2, 0.3]  # rad/s
         array([0.1, 0.3, 0.2])
     """

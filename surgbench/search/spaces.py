@@ -16,8 +16,8 @@ class SearchSpaces:
         readings_scale: Factor on the joints' steps where readings are given.
 
     Example:
-        >>> from surgbench.conformance.scenes import make_play
-        >>> from surgbench.tracking.spaces import SearchSpaces
+        >>> from surgbench.tasks.instrument.conformance.scenes import make_play
+        >>> from surgbench.search.spaces import SearchSpaces
         >>> play = make_play(readings=True)  # a needle driver in slow motion
         >>> space = SearchSpaces(play.scene, readings_scale=0.1).of(play.observations[0])
         >>> space.scale  # rad, m, rad; joints a tenth of what they are without readings
