@@ -36,21 +36,21 @@ unit: $(SETUP)
 
 # The only check that the wheel holds every file: install it elsewhere and run tests from another folder, those that
 # use each kind of packaged file (the others would say the same twice).
-WHEEL_TESTS := packaging cli registry instrument trackers bench report import video
+WHEEL_TESTS := engine/test_packaging engine/test_cli engine/test_registry instrument/test_instrument trackers/test_trackers engine/test_bench engine/test_report exchange/test_import instrument/test_video
 wheel-test: $(SETUP)
 	rm -rf build && mkdir -p build/wheel-test/elsewhere
 	$(BIN)/python -m build -q --wheel --no-isolation --outdir build/wheel-test .
 	$(BIN)/python -m pip install --disable-pip-version-check -q --no-deps --target build/wheel-test/site build/wheel-test/*.whl
 	cd build/wheel-test/elsewhere && PYTHONPATH=../site SURGBENCH_EXPECT_SITE="$(CURDIR)/build/wheel-test/site" \
 		../../../$(BIN)/$(PYTEST) -c ../../../pyproject.toml --rootdir ../../.. \
-		$(WHEEL_TESTS:%=../../../tests/test_%.py) \
-		../../../tests/test_run.py::test_the_papers_tracker_follows_the_mini_dataset
+		$(WHEEL_TESTS:%=../../../tests/%.py) \
+		../../../tests/engine/test_run.py::test_the_papers_tracker_follows_the_mini_dataset
 
 # Types are checked once more, for with the extras there is more to check against.
-EXTRAS_TESTS := instrument reproduce turbo viewpoint_run
+EXTRAS_TESTS := instrument/test_instrument engine/test_reproduce trackers/test_turbo viewpoint/test_viewpoint_run
 extras-test: $(EXTRAS)
 	$(BIN)/mypy
-	$(BIN)/$(PYTEST) $(EXTRAS_TESTS:%=tests/test_%.py)
+	$(BIN)/$(PYTEST) $(EXTRAS_TESTS:%=tests/%.py)
 
 setup: $(SETUP)
 

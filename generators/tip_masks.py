@@ -2,7 +2,7 @@
 
 Poses are those of :mod:`surgbench.hypotheses`, the wrist anywhere in the image. Every mask has its own stream of random
 numbers, so that it does not depend on which others are made. Masks are painted by the engine's silhouettes, which give
-the same pixels as the renderer of datasets (``tests/test_silhouette.py``) without Mitsuba.
+the same pixels as the renderer of datasets (``tests/silhouette/test_silhouette.py``) without Mitsuba.
 """
 
 from __future__ import annotations

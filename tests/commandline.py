@@ -11,6 +11,8 @@ import pytest
 
 from surgbench.cli import main
 
+# Trackers of people who never saw the package.
+STRANGERS = Path(__file__).with_name("strangers.py")
 # For runs in which it does not matter where the tips come from: without the network a run starts two seconds sooner.
 RUN = ("run", "--keypoints", "observed")
 

@@ -258,7 +258,11 @@ def test_adam_mitsuba_follows_the_gradient_of_the_engine() -> None:
     if problem is not None:
         pytest.skip(problem)
     done = subprocess.run(
-        [sys.executable, "-c", MITSUBA_SCRIPT], capture_output=True, text=True, check=False, cwd=Path(__file__).parent
+        [sys.executable, "-c", MITSUBA_SCRIPT],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=Path(__file__).parents[1],
     )
     assert done.returncode == 0, done.stderr
     answer = json.loads(done.stdout.splitlines()[-1])

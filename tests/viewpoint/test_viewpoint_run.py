@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from commandline import records, surgbench
+from commandline import STRANGERS, records, surgbench
 
 from surgbench.dataset.open import open_dataset
 from surgbench.report.rows import read_rows
@@ -20,7 +20,6 @@ from surgbench.tasks.viewpoint.rows import VIEWPOINT_COLUMNS
 from surgbench.viewpoint.scores import NO_GO_TOLERANCE_M, naive_violations
 from surgbench.viewpoint.simulator import make_scene
 
-STRANGERS = Path(__file__).parent / "strangers.py"
 SAMPLES = 260
 
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 import yaml
-from commandline import surgbench
+from commandline import STRANGERS, surgbench
 
 from surgbench.config import packaged_names
 from surgbench.errors import ConfigError, NotFoundError
@@ -29,7 +29,6 @@ from surgbench.task import find_task
 from surgbench.tasks.instrument.measures import PUBLISHED
 from surgbench.tasks.instrument.page import markdown
 
-STRANGERS = Path(__file__).with_name("strangers.py")
 FRAMES = 12
 TABLE: dict[str, Any] = {
     "title": "A tiny table",

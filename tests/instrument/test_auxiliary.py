@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from commandline import RUN, records, surgbench
+from commandline import RUN, STRANGERS, records, surgbench
 
 from surgbench.camera import Camera
 from surgbench.camera.change_of_view import ChangeOfView
@@ -254,7 +254,7 @@ def test_what_cannot_be_is_said_in_one_line(made: Path, tmp_path: Path, capsys: 
     for arguments, message in (
         (("--tracker", "cmaes", "--view", "gaez"), "unknown auxiliary view 'gaez'; did you mean 'gaze'?"),
         (("--tracker", "cmaes", "--view", "gaze", "--arms", "dual"), "shows each arm alone; use --arms single"),
-        (("--tracker", f"{Path(__file__).with_name('strangers.py')}:OneEyed", "--view", "gaze"), "one view alone"),
+        (("--tracker", f"{STRANGERS}:OneEyed", "--view", "gaze"), "one view alone"),
     ):
         surgbench(*RUN, "--dataset", made, *arguments, "--out", tmp_path, expect=2)
         assert message in capsys.readouterr().err

@@ -8,13 +8,12 @@ from importlib.metadata import EntryPoint
 from pathlib import Path
 
 import pytest
+from commandline import STRANGERS
 
 from surgbench import registry
 from surgbench.errors import ConfigError, NotFoundError
 from surgbench.kinds import KINDS
 from surgbench.registry import Found, configure, create, describe, discover, find
-
-HERE = Path(__file__).parent
 
 
 @pytest.mark.parametrize("kind", sorted(KINDS))
@@ -30,14 +29,14 @@ def test_every_plugin_of_ours_loads_with_its_defaults(kind: str) -> None:
 
 
 def test_a_file_is_loaded_once_and_its_instances_can_be_pickled() -> None:
-    found = find("tracker", f"{HERE / 'strangers.py'}:Still")
-    assert found.cls is find("tracker", f"{HERE / 'strangers.py'}:Still").cls
+    found = find("tracker", f"{STRANGERS}:Still")
+    assert found.cls is find("tracker", f"{STRANGERS}:Still").cls
     assert found.cls is not None
     assert isinstance(pickle.loads(pickle.dumps(found.cls())), found.cls)
 
 
 def test_another_text_is_another_plugin(tmp_path: Path) -> None:
-    source = (HERE / "strangers.py").read_text()
+    source = (STRANGERS).read_text()
     (tmp_path / "a.py").write_text(source)
     (tmp_path / "b.py").write_text(source + "\n# changed\n")
     one, other = (find("tracker", f"{tmp_path / name}:Still") for name in ("a.py", "b.py"))

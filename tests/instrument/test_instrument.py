@@ -568,7 +568,7 @@ def test_pymeshlab_is_not_imported_for_good_meshes(tmp_path: Path, monkeypatch: 
 
 
 def test_the_example_in_the_docs_loads(tmp_path: Path) -> None:
-    page = (Path(__file__).parent.parent / "docs" / "instruments.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[2] / "docs" / "instruments.md").read_text(encoding="utf-8")
     example = page.split("```yaml\n")[1].split("```")[0]
     trimesh.creation.box([6.0] * 3).export(str(tmp_path / "wrist.stl"))
     for jaw in ("jaw_right.ply", "jaw_left.ply"):

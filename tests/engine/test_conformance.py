@@ -6,11 +6,10 @@ import json
 import pickle
 import random
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-from commandline import surgbench
+from commandline import STRANGERS, surgbench
 
 from surgbench.conformance.checks import Outcome, checks_of, run_check
 from surgbench.conformance.conduct import conduct
@@ -18,8 +17,6 @@ from surgbench.conformance.subject import Subject
 from surgbench.registry import discover, find
 from surgbench.tasks.instrument.conformance.checks import CHECKS
 from surgbench.tasks.instrument.conformance.scenes import evaluator, make_play
-
-STRANGERS = Path(__file__).with_name("strangers.py")
 
 
 def stranger(name: str, **how: float) -> Subject:

@@ -10,7 +10,7 @@ import pytest
 
 import surgbench
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 MAPPED = {"trackers": "surgbench.trackers", "generators": "surgbench.generators", "configs": "surgbench.configs"}
 
 

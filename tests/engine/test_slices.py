@@ -9,7 +9,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from commandline import RUN, records, surgbench
+from commandline import RUN, STRANGERS, records, surgbench
 
 from surgbench.dataset.open import open_as
 from surgbench.errors import ConfigError
@@ -27,7 +27,6 @@ from surgbench.tasks.instrument.asked import InstrumentRow
 from surgbench.tasks.instrument.dataset import InstrumentDataset
 from surgbench.tasks.instrument.replay import replay_traces
 
-STRANGERS = Path(__file__).with_name("strangers.py")
 STILL = f"{STRANGERS}:Still"
 FRAMES = 4
 

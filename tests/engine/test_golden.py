@@ -6,11 +6,11 @@ import json
 from pathlib import Path
 from typing import Any
 
+import golden
 import numpy as np
 import pytest
-from golden import take
 
-GOLDEN: dict[str, Any] = json.loads(Path(__file__).with_name("golden.json").read_text())
+GOLDEN: dict[str, Any] = json.loads(Path(golden.__file__).with_name("golden.json").read_text())
 # Other processors round differently, and a search by samples then takes other samples; what is meant here is another
 # method, other numbers drawn or another order of the arms.
 RADIANS_OR_METRES = 1e-6
@@ -19,7 +19,7 @@ RADIANS_OR_METRES = 1e-6
 @pytest.fixture(scope="module")
 def found(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     """The same, made now."""
-    return take(tmp_path_factory.mktemp("golden"))
+    return golden.take(tmp_path_factory.mktemp("golden"))
 
 
 def test_settings_of_all_rows_of_all_tables(found: dict[str, Any]) -> None:

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from commandline import RUN, records, surgbench
+from commandline import RUN, STRANGERS, records, surgbench
 
 from surgbench.dataset.open import open_as
 from surgbench.generators.generate import generate, plan_dataset
@@ -20,7 +20,6 @@ from surgbench.generators.presets import load_preset
 from surgbench.tasks.instrument.dataset import InstrumentDataset
 from surgbench.tasks.instrument.replay import replay_traces
 
-STRANGERS = Path(__file__).with_name("strangers.py")
 FRAMES = 4
 
 
