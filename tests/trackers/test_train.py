@@ -17,9 +17,14 @@ from surgbench.cli.training import KeypointTraining
 from surgbench.errors import SurgbenchError
 from surgbench.generators.tip_masks import HELD_OUT, TipMasks, TipMaskSettings
 from surgbench.trackers.keypoints.heatmaps.model import load_network
-from surgbench.trackers.keypoints.heatmaps.network import NetworkSettings
+from surgbench.trackers.keypoints.heatmaps.network import HeatmapNetwork, NetworkSettings
 from surgbench.trackers.keypoints.heatmaps.patches import Patches, cut_patches
-from surgbench.trackers.keypoints.heatmaps.training import Training, TrainingSettings, target_heat
+from surgbench.trackers.keypoints.heatmaps.training import (
+    LEAST_CHANNELS_LAST,
+    Training,
+    TrainingSettings,
+    target_heat,
+)
 from surgbench.trackers.keypoints.resnet18 import MODELS
 
 NETWORK = NetworkSettings(width=4, head=4, input_px=32)
@@ -53,9 +58,29 @@ def test_it_learns(tmp_path: Path, patches: Patches) -> None:
     assert losses[-1] < 0.75 * losses[0]
 
 
-def test_an_interrupted_training_ends_like_an_uninterrupted_one(tmp_path: Path, patches: Patches) -> None:
-    """To the last bit: the weights, and the log but for its times."""
-    trained(tmp_path / "whole", patches)
+@pytest.mark.parametrize("width", [NETWORK.width, LEAST_CHANNELS_LAST])
+def test_gradients_are_right_in_either_memory_format(tmp_path: Path, patches: Patches, width: int) -> None:
+    """Against double precision, which takes other kernels."""
+    network = NETWORK.model_copy(update={"width": width})
+    training = Training(tmp_path, network, SHORT, 0, "cpu", {})
+    exact = HeatmapNetwork(network).double()
+    exact.load_state_dict(training._network.state_dict())
+    chosen = np.arange(SHORT.batch)
+    pictures, tips = patches.looks(chosen, None)
+    training._loss(training._logits(pictures), tips).backward()
+    training._loss(exact(torch.from_numpy(pictures)[:, None].double() / 255.0), tips).backward()
+    for (name, one), other in zip(training._network.named_parameters(), exact.parameters(), strict=True):
+        assert one.grad is not None
+        assert other.grad is not None
+        error = float((one.grad - other.grad).abs().max() / other.grad.abs().max())
+        assert error < 1e-3, name
+
+
+@pytest.mark.parametrize("width", [NETWORK.width, LEAST_CHANNELS_LAST])
+def test_an_interrupted_training_ends_like_an_uninterrupted_one(tmp_path: Path, patches: Patches, width: int) -> None:
+    """To the last bit: the weights, and the log but for its times; in either memory format."""
+    network = NETWORK.model_copy(update={"width": width})
+    Training(tmp_path / "whole", network, SHORT, 0, "cpu", {}).run(patches, patches, quiet, quiet)
     shares: list[float] = []
 
     def interrupt(share: float) -> None:
@@ -63,10 +88,10 @@ def test_an_interrupted_training_ends_like_an_uninterrupted_one(tmp_path: Path, 
         if sum(shares) > 1.4:  # in the middle of the second epoch
             raise KeyboardInterrupt
 
-    training = Training(tmp_path / "halves", NETWORK, SHORT, 0, "cpu", {})
+    training = Training(tmp_path / "halves", network, SHORT, 0, "cpu", {})
     with pytest.raises(KeyboardInterrupt):
         training.run(patches, patches, interrupt, quiet)
-    resumed = Training(tmp_path / "halves", NETWORK, SHORT, 0, "cpu", {})
+    resumed = Training(tmp_path / "halves", network, SHORT, 0, "cpu", {})
     assert resumed.epoch == 1
     resumed.run(patches, patches, quiet, quiet)
     whole, halves = ((tmp_path / name / "weights.safetensors").read_bytes() for name in ("whole", "halves"))
