@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import torch
 from safetensors import SafetensorError
 from safetensors.torch import save
 from torch import Tensor
@@ -62,17 +63,21 @@ def resume(path: Path, identity: str, network: HeatmapNetwork, optimiser: Optimi
         SurgbenchError: The file is damaged, or of a training with another identity; one line.
     """
     try:
-        header, tensors = read_tensors(path, str(next(network.parameters()).device))
+        header, tensors = read_tensors(path)
         if header["identity"] != identity:
             raise SurgbenchError(
                 f"{path.parent}: holds a training with other settings; give another folder, or remove it"
             )
         progress, log = Progress(**json.loads(header["progress"])), json.loads(header["log"])
         network.load_state_dict(_part(tensors, "network."))
+        parameters = dict(enumerate(parameter for group in optimiser.param_groups for parameter in group["params"]))
         moments: dict[int, dict[str, Tensor]] = {}
         for name, tensor in _part(tensors, "optimiser.").items():
             number, _, key = name.partition(".")
-            moments.setdefault(int(number), {})[key] = tensor
+            # A file knows no memory format: with their parameter's, the moments take the kernels that they would have
+            # taken. The count of steps stays where it is, on the CPU.
+            laid = tensor if key == "step" else torch.empty_like(parameters[int(number)]).copy_(tensor)
+            moments.setdefault(int(number), {})[key] = laid
         optimiser.load_state_dict({**optimiser.state_dict(), "state": moments})
     except (SafetensorError, KeyError, ValueError, RuntimeError, TypeError) as error:
         words = " ".join(str(error).split())
