@@ -17,7 +17,8 @@ from commandline import surgbench
 from surgbench.dataset.open import open_as
 from surgbench.dataset.validate import validate
 from surgbench.errors import ConfigError, DatasetError
-from surgbench.generators.dispatch import load_wire_chaser, plan_preset
+from surgbench.generation import GenerationRequest
+from surgbench.generators.dispatch import plan_preset
 from surgbench.generators.presets import load_preset
 from surgbench.generators.resumable import generate
 from surgbench.generators.wire_chaser import job as module
@@ -27,6 +28,7 @@ from surgbench.generators.wire_chaser.presets import SHARES, Hand, Measurement, 
 from surgbench.generators.wire_chaser.scene import rest
 from surgbench.generators.wire_chaser.trial import make_trial, measure
 from surgbench.generators.wire_chaser.wire import WireShape, tool_axes
+from surgbench.generators.wire_chasers import load_wire_chaser
 from surgbench.geometry import FloatArray, inverse_transform, is_rigid, rotation_angle, rotation_vector
 from surgbench.randomness import generator
 from surgbench.tasks.viewpoint.dataset import ViewpointDataset
@@ -309,7 +311,8 @@ def test_presets_say_what_they_are() -> None:
     counts = [count * 0.0126 for count in WirePlan(full.model_copy(update={"trials": 200})).samples.values()]
     assert np.mean(counts) == pytest.approx(74.3, abs=3.0)
     assert np.std(counts) == pytest.approx(15.0, abs=2.5)  # the published 17.4, without its ends
-    assert plan_preset("wire-chaser-mini", sequences=2, frames=200).counts == "2 trials, 400 samples"
+    few = GenerationRequest(sequences=2, frames=200)
+    assert plan_preset("wire-chaser-mini", few).counts == "2 trials, 400 samples"
 
 
 @pytest.mark.parametrize(
@@ -339,7 +342,7 @@ def test_presets_of_one_task_are_not_those_of_the_other(capsys: pytest.CaptureFi
     with pytest.raises(ConfigError, match=r"a preset of the viewpoint task; expected one of the instrument task"):
         load_preset("wire-chaser")
     surgbench("generate", "wire-chaser", "--out", tmp_path / "a", "--corruption", "none", expect=2)
-    assert "'wire-chaser' is of the viewpoint task, which has no masks" in capsys.readouterr().err
+    assert "wire-chaser.yaml' is of the viewpoint task, which has no masks" in capsys.readouterr().err
     surgbench("generate", "wire-chaser", "--out", tmp_path / "a", "--sequences", 0, expect=2)
     assert "--sequences: input should be greater than or equal to 1, not 0" in capsys.readouterr().err
 
