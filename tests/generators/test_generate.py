@@ -18,13 +18,14 @@ import pytest
 from surgbench.camera import Camera
 from surgbench.config import locate, packaged_names, read_yaml
 from surgbench.contract import Mask
+from surgbench.dataset import writer
 from surgbench.dataset.open import open_as
 from surgbench.dataset.validate import validate
 from surgbench.errors import ConfigError, DatasetError, NotFoundError, SurgbenchError
 from surgbench.generators import generate as module
 from surgbench.generators import resumable
 from surgbench.generators.corruption import corrupt
-from surgbench.generators.generate import Part, generate, plan_dataset
+from surgbench.generators.generate import Part, Plan, generate, plan_dataset
 from surgbench.generators.observations import observe_joints, observe_keypoints
 from surgbench.generators.presets import (
     CORRUPTION_LEVELS,
@@ -498,7 +499,7 @@ def test_a_crash_after_some_frames_is_resumed_without_rendering_them_again(
     made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rendered: list[str] = []
-    write = module.write_atomic
+    write = writer.write_atomic
 
     def failing(path: Path, data: bytes) -> None:
         rendered.append(path.name)
@@ -506,7 +507,7 @@ def test_a_crash_after_some_frames_is_resumed_without_rendering_them_again(
             raise RuntimeError("crash")
         write(path, data)
 
-    monkeypatch.setattr(module, "write_atomic", failing)
+    monkeypatch.setattr(writer, "write_atomic", failing)
     with pytest.raises(RuntimeError, match="crash"):
         generate(plan_dataset(FEW), tmp_path / "out")
     rendered.clear()
@@ -515,11 +516,106 @@ def test_a_crash_after_some_frames_is_resumed_without_rendering_them_again(
         rendered.append(path.name)
         write(path, data)
 
-    monkeypatch.setattr(module, "write_atomic", counting)
+    monkeypatch.setattr(writer, "write_atomic", counting)
     assert generate(plan_dataset(FEW), tmp_path / "out")
     # 36 masks, of which two whole frames of six were there.
     assert len([name for name in rendered if name.endswith(".png")]) == 24
     assert contents(tmp_path / "out") == contents(made)
+
+
+def interrupt(plan: Plan, out: Path, after: int) -> None:
+    """Make a dataset in this process, but for what comes after so many frames."""
+
+    def stop(_: float) -> None:
+        nonlocal after
+        after -= 1
+        if not after:
+            raise RuntimeError("interrupted")
+
+    with pytest.raises(RuntimeError, match="interrupted"):
+        generate(plan, out, progress=stop)
+
+
+def masks_made(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Grows by the frame with every frame rendered."""
+    made: list[int] = []
+    render = module._Worker._frame
+
+    def counting(self: Any, sequence: str, frame: int, states: FloatArray) -> dict[str, bytes]:
+        made.append(frame)
+        files: dict[str, bytes] = render(self, sequence, frame, states)
+        return files
+
+    monkeypatch.setattr(module._Worker, "_frame", counting)
+    return made
+
+
+def test_what_was_damaged_between_two_goes_is_made_again(
+    made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out, plan = tmp_path / "out", plan_dataset(FEW)
+    interrupt(plan, out, after=5)
+    # Whole pictures, but not those that were written; and a table of another length.
+    shutil.copy(out / "truth/000/masks/left/000000.png", out / "truth/000/masks/right/000000.png")
+    (out / "truth/001/masks/both/000001.png").unlink()
+    (out / "truth/000/states.parquet").write_bytes(b"")
+    rendered = masks_made(monkeypatch)
+    assert generate(plan, out)
+    assert rendered == [0, 1, 2]
+    assert contents(out) == contents(made)
+
+
+def test_a_ledger_that_was_torn_costs_the_frame_that_it_lost(
+    made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out, plan = tmp_path / "out", plan_dataset(FEW)
+    interrupt(plan, out, after=5)
+    ledger = out / "generating" / "000-000000.jsonl"
+    ledger.write_bytes(ledger.read_bytes()[:-40])
+    rendered = masks_made(monkeypatch)
+    interrupt(plan, out, after=4)
+    assert rendered == [2]
+    # What was noted after the torn line counts.
+    assert generate(plan, out)
+    assert rendered == [2, 2]
+    assert contents(out) == contents(made)
+
+
+def test_what_no_ledger_names_is_made_again(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As in a folder that an earlier version has begun."""
+    out, plan = tmp_path / "out", plan_dataset(FEW)
+    interrupt(plan, out, after=5)
+    shutil.rmtree(out / "generating")
+    rendered = masks_made(monkeypatch)
+    assert generate(plan, out)
+    assert rendered == [0, 1, 2] * 2
+    assert contents(out) == contents(made)
+
+
+def test_what_is_damaged_after_it_was_written_is_not_blessed(made: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    files = [out / "truth/000/masks/left/000000.png", out / "instruments/large_needle_driver/instrument.yaml"]
+    files.append(out / "sequences/000/observations.parquet")
+
+    def damage(_: float) -> None:
+        for file in files:
+            file.write_bytes(file.read_bytes()[:-1] + b"?")
+
+    assert generate(plan_dataset(FEW), out, progress=damage)
+    # The manifest says what was meant.
+    assert (out / "dataset.json").read_bytes() == (made / "dataset.json").read_bytes()
+    assert validate(out) == [f"{file}: altered, its SHA-256 is not the one in dataset.json" for file in sorted(files)]
+
+
+def test_a_ledger_that_is_taken_away_meanwhile_is_one_line(tmp_path: Path) -> None:
+    out, plan = tmp_path / "out", plan_dataset(FEW)
+
+    def remove(_: float) -> None:
+        shutil.rmtree(out / "generating", ignore_errors=True)
+
+    with pytest.raises(DatasetError, match=r"^[^\n]*: not in the ledgers in [^\n]*; run the same command again[^\n]*$"):
+        generate(plan, out, progress=remove)
+    assert generate(plan, out)
 
 
 def test_complete_already(made: Path, tmp_path: Path) -> None:
@@ -604,7 +700,7 @@ def test_the_disk_estimate_covers_what_is_written(made: Path) -> None:
 
 
 def test_a_full_disk_in_the_middle_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    write, count = module.write_atomic, 0
+    write, count = writer.write_atomic, 0
 
     def full(path: Path, data: bytes) -> None:
         nonlocal count
@@ -613,7 +709,7 @@ def test_a_full_disk_in_the_middle_is_one_line(tmp_path: Path, monkeypatch: pyte
             raise OSError(28, "No space left on device", str(path))
         write(path, data)
 
-    monkeypatch.setattr(module, "write_atomic", full)
+    monkeypatch.setattr(writer, "write_atomic", full)
     with pytest.raises(
         SurgbenchError, match=r"^[^\n]*out: the disk is full; make room, then run the same command again"
     ):

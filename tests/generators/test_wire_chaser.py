@@ -389,10 +389,27 @@ def test_a_crash_is_resumed_with_the_trial_in_work(tmp_path: Path, monkeypatch: 
         generate(WirePlan(ANY), tmp_path / "out")
     # What a power cut may leave.
     (tmp_path / "out" / "truth/000/scene.json").write_bytes(b"")
+    # What a version before the ledgers left, which is not read.
+    (tmp_path / "out" / "generating" / "000.json").write_text("{}")
     assert generate(WirePlan(ANY), tmp_path / "out")
     assert made == ["000", "001", "000", "001", "002"]
     assert generate(WirePlan(ANY), tmp_path / "undisturbed")
     assert contents(tmp_path / "out") == contents(tmp_path / "undisturbed")
+
+
+def test_what_is_damaged_after_it_was_written_is_not_blessed(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    assert generate(WirePlan(ANY), out, progress=lambda _: (out / "truth/000/scene.json").write_bytes(b"{}"))
+    assert validate(out) == [f"{out}/truth/000/scene.json: truncated, 2 bytes; dataset.json says {size(out)}"]
+    assert generate(WirePlan(ANY), tmp_path / "undisturbed")
+    name = "dataset.json"
+    assert (out / name).read_bytes() == (tmp_path / "undisturbed" / name).read_bytes()
+
+
+def size(out: Path) -> int:
+    """What the manifest says of the scene of the first trial."""
+    bytes_: int = open_as(ViewpointDataset, out).manifest.files["truth/000/scene.json"].bytes
+    return bytes_
 
 
 def test_killed_and_started_again_as_a_user_does(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
