@@ -22,6 +22,7 @@ from surgbench.dataset import writer
 from surgbench.dataset.open import open_as
 from surgbench.dataset.validate import validate
 from surgbench.errors import ConfigError, DatasetError, NotFoundError, SurgbenchError
+from surgbench.files import write_atomic
 from surgbench.generators import generate as module
 from surgbench.generators import resumable
 from surgbench.generators.corruption import corrupt
@@ -499,13 +500,12 @@ def test_a_crash_after_some_frames_is_resumed_without_rendering_them_again(
     made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rendered: list[str] = []
-    write = writer.write_atomic
 
     def failing(path: Path, data: bytes) -> None:
         rendered.append(path.name)
         if len([name for name in rendered if name.endswith(".png")]) > 15:
             raise RuntimeError("crash")
-        write(path, data)
+        write_atomic(path, data)
 
     monkeypatch.setattr(writer, "write_atomic", failing)
     with pytest.raises(RuntimeError, match="crash"):
@@ -514,7 +514,7 @@ def test_a_crash_after_some_frames_is_resumed_without_rendering_them_again(
 
     def counting(path: Path, data: bytes) -> None:
         rendered.append(path.name)
-        write(path, data)
+        write_atomic(path, data)
 
     monkeypatch.setattr(writer, "write_atomic", counting)
     assert generate(plan_dataset(FEW), tmp_path / "out")
@@ -700,14 +700,14 @@ def test_the_disk_estimate_covers_what_is_written(made: Path) -> None:
 
 
 def test_a_full_disk_in_the_middle_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    write, count = writer.write_atomic, 0
+    count = 0
 
     def full(path: Path, data: bytes) -> None:
         nonlocal count
         count += 1
         if count > 15:
             raise OSError(28, "No space left on device", str(path))
-        write(path, data)
+        write_atomic(path, data)
 
     monkeypatch.setattr(writer, "write_atomic", full)
     with pytest.raises(

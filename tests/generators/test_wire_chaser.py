@@ -399,7 +399,11 @@ def test_a_crash_is_resumed_with_the_trial_in_work(tmp_path: Path, monkeypatch: 
 
 def test_what_is_damaged_after_it_was_written_is_not_blessed(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    assert generate(WirePlan(ANY), out, progress=lambda _: (out / "truth/000/scene.json").write_bytes(b"{}"))
+
+    def damage(_: float) -> None:
+        (out / "truth/000/scene.json").write_bytes(b"{}")
+
+    assert generate(WirePlan(ANY), out, progress=damage)
     assert validate(out) == [f"{out}/truth/000/scene.json: truncated, 2 bytes; dataset.json says {size(out)}"]
     assert generate(WirePlan(ANY), tmp_path / "undisturbed")
     name = "dataset.json"
