@@ -71,10 +71,11 @@ class Record(Part):
         path: The file it was read from.
         errors: Error name to ``(T,)`` or ``(T, arms)`` values, NaN where a frame has none; a missing truth
             leaves the name out.
-        whole: Errors that are not of single frames, but of all of them together.
         unit_frames: Frames that were asked for.
         dataset_frames: Frames of all units of the dataset; ``None`` in records of old versions.
         floor: The filter knew the truth.
+        whole: Errors that are not of single frames, but of all of them together.
+        error_names: All errors that are written.
     """
 
     path: Path
@@ -92,6 +93,7 @@ class Record(Part):
     errors: dict[str, FloatArray]
 
     whole: ClassVar[tuple[str, ...]] = ()
+    error_names: ClassVar[tuple[str, ...]] = ()
 
     @model_validator(mode="after")
     def _errors_match(self) -> Record:

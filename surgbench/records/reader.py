@@ -70,6 +70,21 @@ def parse_record(content: dict[str, Any], path: Path) -> Record:
         raise DatasetError(f"{path}: {error}") from None
 
 
+def check_written(content: dict[str, Any], path: Path) -> None:
+    """See that a record that is to be written can be read again, whole.
+
+    Raises:
+        DatasetError: A key is wrong or missing, or a column of ``frames`` or ``errors`` is not declared by its task's
+            record, which would not be read; one line.
+    """
+    record = parse_record(content, path)
+    declared = {"frames": tuple(type(record.frames).model_fields), "errors": record.error_names}
+    for part, names in declared.items():
+        for name in content[part] or {}:
+            if name not in names:
+                raise DatasetError(f"{path}: '{part}.{name}' is not declared by {type(record).__name__}")
+
+
 def _error_arrays(errors: dict[str, Any]) -> dict[str, FloatArray]:
     arrays = {}
     for key, values in errors.items():

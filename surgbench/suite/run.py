@@ -13,6 +13,7 @@ from surgbench.dataset.base import Dataset
 from surgbench.errors import DatasetError, SurgbenchError
 from surgbench.files import PARTIAL_SUFFIX, canonical_json, write_atomic
 from surgbench.records.format import RECORD_FORMAT, SKIPPED
+from surgbench.records.reader import check_written
 from surgbench.suite.environment import environment
 from surgbench.suite.head import head, skipped
 from surgbench.suite.running import Run
@@ -129,7 +130,8 @@ def run(
         finished: Called with every record once it is written.
 
     Raises:
-        SurgbenchError: A record cannot be written, or the dataset is at fault; runs in work are ended.
+        SurgbenchError: A record cannot be written, or could not be read again, or the dataset is at fault; runs in
+            work are ended.
     """
     task = find_task(dataset.task)
 
@@ -147,6 +149,7 @@ def run(
                     return None
                 part.advance(job.frames - part.done)  # what a failed run never reached
             record = {**head(job, dataset, environment(job.settings.conditions.device)), **done}
+            check_written(record, out / job.path)
             _write(out / job.path, (canonical_json(record) + "\n").encode())
         except BaseException:
             under_way.stop()  # before this thread takes the next job

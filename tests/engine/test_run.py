@@ -18,6 +18,7 @@ from surgbench.dataset.open import open_as
 from surgbench.generators.generate import generate, plan_dataset
 from surgbench.generators.presets import load_preset
 from surgbench.tasks.instrument.dataset import InstrumentDataset
+from surgbench.tasks.instrument.records import InstrumentFrames, InstrumentRecord
 from surgbench.tasks.instrument.replay import replay_traces
 
 FRAMES = 4
@@ -50,6 +51,23 @@ def test_a_strangers_class_runs(dataset: Path, tmp_path: Path, capsys: pytest.Ca
         assert record["environment"]["packages"]["numpy"] == np.__version__
         assert record["spec"]["dataset"]["sha256"] == open_as(InstrumentDataset, dataset).hash
     assert "still" in capsys.readouterr().out
+
+
+def test_a_record_holds_what_its_model_declares(dataset: Path, tmp_path: Path) -> None:
+    surgbench(*RUN, "--dataset", dataset, "--tracker", f"{STRANGERS}:Still", "--out", tmp_path)
+    for record in records(tmp_path):
+        # Old versions rendered masks, and said how long that took.
+        assert set(record["frames"]) == set(InstrumentFrames.model_fields) - {"latency_masks_ms"}
+        assert set(record["errors"]) == set(InstrumentRecord.error_names)
+
+
+def test_a_record_that_could_not_be_read_is_not_written(
+    dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(InstrumentRecord, "error_names", ())
+    surgbench(*RUN, "--dataset", dataset, "--tracker", f"{STRANGERS}:Still", "--out", tmp_path, expect=2)
+    assert "is not declared by InstrumentRecord" in capsys.readouterr().err
+    assert not records(tmp_path)
 
 
 def test_truth_is_the_start_and_scores_perfectly_in_the_first_frame(dataset: Path, tmp_path: Path) -> None:

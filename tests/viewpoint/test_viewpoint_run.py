@@ -16,6 +16,7 @@ from commandline import STRANGERS, records, surgbench
 from surgbench.dataset.open import open_dataset
 from surgbench.report.rows import read_rows
 from surgbench.tasks.viewpoint.dataset import ViewpointDataset
+from surgbench.tasks.viewpoint.records import ViewpointFrames, ViewpointRecord
 from surgbench.tasks.viewpoint.rows import VIEWPOINT_COLUMNS
 from surgbench.viewpoint.scores import NO_GO_TOLERANCE_M, naive_violations
 from surgbench.viewpoint.simulator import make_scene
@@ -46,6 +47,8 @@ def test_a_record_holds_the_course_and_its_errors(dataset: Path, runs: Path) -> 
         assert (record["status"], record["unit_frames"]) == ("ok", SAMPLES)
         assert record["spec"]["task"] == "viewpoint"
         frames, errors = record["frames"], record["errors"]
+        assert set(frames) == set(ViewpointFrames.model_fields) - {"tags_px"}  # no picture was taken
+        assert set(errors) == set(ViewpointRecord.error_names)
         assert {len(values) for values in [*frames.values(), *errors.values()]} == {SAMPLES}
         assert np.isfinite(np.array(frames["joints"])).all()
         assert not any(frames["limit_violation"])
