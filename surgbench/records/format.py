@@ -9,7 +9,9 @@ from pydantic import BaseModel, ConfigDict, model_validator
 
 from surgbench.geometry import FloatArray
 
-RECORD_FORMAT = "surgbench-record-1"
+RECORD_FORMAT = "surgbench-record-2"
+UNSEALED_FORMAT = "surgbench-record-1"  # still read
+FORMATS = (UNSEALED_FORMAT, RECORD_FORMAT)
 FORMAT_STEM = "surgbench-record-"
 SKIPPED = "skipped"  # the status of a run that the machine lacks something for
 

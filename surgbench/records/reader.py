@@ -12,7 +12,8 @@ from pydantic import ValidationError
 
 from surgbench.errors import DatasetError, NotFoundError
 from surgbench.geometry import FloatArray
-from surgbench.records.format import FORMAT_STEM, RECORD_FORMAT, SKIPPED, Record
+from surgbench.records.format import FORMAT_STEM, FORMATS, RECORD_FORMAT, SKIPPED, Record
+from surgbench.records.seal import check_seal
 from surgbench.task import find_task
 
 R = TypeVar("R", bound=Record)
@@ -28,8 +29,8 @@ def read_record(path: Path) -> Record | None:
         The record, as its task has it, or ``None`` when the file is sound but something else.
 
     Raises:
-        DatasetError: The file is truncated, is not JSON, or is a record with a wrong or missing key, or of a task that
-            is not known here.
+        DatasetError: The file is truncated, is not JSON, or is a record that was altered, with a wrong or missing key,
+            or of a task that is not known here.
     """
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
@@ -40,8 +41,9 @@ def read_record(path: Path) -> Record | None:
     found = content.get("format") if isinstance(content, dict) else None
     if not isinstance(found, str) or not found.startswith(FORMAT_STEM):
         return None
-    if found != RECORD_FORMAT:
-        raise DatasetError(f"{path}: record format '{found}' is not known here (known: {RECORD_FORMAT})")
+    if found not in FORMATS:
+        raise DatasetError(f"{path}: record format '{found}' is not known here (known: {', '.join(FORMATS)})")
+    check_seal(content, path)
     return parse_record(content, path)
 
 

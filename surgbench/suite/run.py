@@ -12,8 +12,9 @@ from typing import Any
 from surgbench.dataset.base import Dataset
 from surgbench.errors import DatasetError, SurgbenchError
 from surgbench.files import PARTIAL_SUFFIX, canonical_json, write_atomic
-from surgbench.records.format import RECORD_FORMAT, SKIPPED
+from surgbench.records.format import FORMATS, SKIPPED
 from surgbench.records.reader import check_written
+from surgbench.records.seal import check_seal, sealed
 from surgbench.suite.environment import environment
 from surgbench.suite.head import head, skipped
 from surgbench.suite.running import Run
@@ -86,7 +87,7 @@ def make_plan(jobs: list[Job], out: Path, retry_failed: bool = True) -> Plan:
     """Sort jobs by what is already there.
 
     Raises:
-        DatasetError: A record is damaged, or is of another run.
+        DatasetError: A record is damaged or altered, or is of another run.
     """
     todo, done, retried = [], 0, 0
     for job in {job.hash: job for job in jobs}.values():  # each once, however often it is asked for
@@ -102,8 +103,10 @@ def make_plan(jobs: list[Job], out: Path, retry_failed: bool = True) -> Plan:
 def _recorded_status(path: Path, job: Job) -> str | None:
     try:
         record = json.loads(path.read_text(encoding="utf-8"))
-        if record["format"] == RECORD_FORMAT and record["spec_hash"] == job.hash:
-            return str(record["status"])
+        if record["format"] in FORMATS:
+            check_seal(record, path)
+            if record["spec_hash"] == job.hash:
+                return str(record["status"])
     except (FileNotFoundError, NotADirectoryError):
         return None  # nothing there, or nowhere to write, which is noticed before the work
     except (OSError, ValueError, KeyError, TypeError):
@@ -148,7 +151,7 @@ def run(
                 if under_way.stopping:
                     return None
                 part.advance(job.frames - part.done)  # what a failed run never reached
-            record = {**head(job, dataset, environment(job.settings.conditions.device)), **done}
+            record = sealed({**head(job, dataset, environment(job.settings.conditions.device)), **done})
             check_written(record, out / job.path)
             _write(out / job.path, (canonical_json(record) + "\n").encode())
         except BaseException:

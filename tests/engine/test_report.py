@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import typer
-from fabricate import failed, record, write
+from fabricate import as_written, failed, record, with_seed, write
 from rich.console import Console
 from typer.testing import CliRunner
 
@@ -185,7 +185,7 @@ def test_a_sound_record_replaces_a_failed_one_of_the_same_run(tmp_path: Path) ->
     [
         record(unit="000"),
         record(dataset=("mini", "cd" * 32)),
-        record() | {"settings_hash": "0" * 16, "spec_hash": "0" * 16},
+        with_seed(1, record()),
     ],
     ids=["arms", "dataset", "settings"],
 )
@@ -270,12 +270,59 @@ def test_spoilt_record_is_named_with_its_key(tmp_path: Path, spoil: Any, names: 
     content = record()
     path = write(tmp_path, content) and next(tmp_path.rglob("*.json"))
     spoil(content)
-    path.write_text(json.dumps(content), encoding="utf-8")
+    path.write_text(json.dumps(as_written(content)), encoding="utf-8")
     with pytest.raises(DatasetError) as caught:
         read_rows([tmp_path])
     assert str(path) in str(caught.value)
     assert names in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def _zero_errors(content: dict[str, Any]) -> None:
+    content["errors"]["mask_error"] = [0.0] * len(content["errors"]["mask_error"])
+
+
+def _rename_variant(content: dict[str, Any]) -> None:
+    content["variant"] = "better"
+
+
+def _change_option(content: dict[str, Any]) -> None:
+    content["spec"]["tracker"]["options"]["iterations"] = 1
+
+
+def _unseal(content: dict[str, Any]) -> None:
+    del content["seal"]
+
+
+@pytest.mark.parametrize("edit", [_zero_errors, _rename_variant, _change_option, _unseal])
+def test_an_edited_record_is_not_believed(runs: Path, edit: Any) -> None:
+    path = next(runs.rglob("000-left-r0.json"))
+    content = json.loads(path.read_text())
+    edit(content)
+    path.write_text(json.dumps(content), encoding="utf-8")
+    with pytest.raises(DatasetError) as caught:
+        read_rows([runs])
+    assert str(caught.value).startswith(f"{path}: altered: ")
+    assert "run it again with: surgbench run … --again" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_how_a_record_is_laid_out_is_no_alteration(runs: Path) -> None:
+    rows = read_rows([runs])
+    for path in runs.rglob("*.json"):
+        path.write_text(json.dumps(json.loads(path.read_text()), indent=1), encoding="utf-8")
+    assert read_rows([runs]) == rows
+
+
+def test_records_without_a_seal_are_still_read_and_their_spec_is_checked(tmp_path: Path) -> None:
+    write(tmp_path, record())
+    path = next(tmp_path.rglob("*.json"))
+    old = {key: value for key, value in json.loads(path.read_text()).items() if key != "seal"}
+    path.write_text(json.dumps(old | {"format": "surgbench-record-1"}), encoding="utf-8")
+    assert only(read_rows([tmp_path]))["mask_error"] is not None
+    path.write_text(json.dumps(old | {"format": "surgbench-record-1", "spec": {**old["spec"], "seed": 7}}))
+    with pytest.raises(DatasetError, match="altered: its 'spec'"):
+        read_rows([tmp_path])
 
 
 def test_folder_without_records_is_named(tmp_path: Path) -> None:
@@ -296,7 +343,7 @@ def test_table_fits_and_shows_the_numbers(runs: Path, width: int) -> None:
 
 def test_table_shows_variants_where_names_are_the_same(tmp_path: Path) -> None:
     write(tmp_path / "a", record())
-    other = record() | {"settings_hash": "0" * 16, "spec_hash": "0" * 16, "variant": "readings"}
+    other = with_seed(1, record(), variant="readings")
     write(tmp_path / "b", other)
     assert "readings" in render.table(read_rows([tmp_path]), width=80)
 
