@@ -27,15 +27,18 @@ class Plan:
     """What a call of ``run`` will do.
 
     Attributes:
-        todo: Jobs without a sound record, those that this machine cannot run among them.
+        todo: Jobs without a sound record, or all where they are run again; those that this machine cannot run among
+            them.
         done: Number of jobs whose record is there already.
         retried: Number of jobs among ``todo`` whose record says that they failed.
+        again: Number of jobs among ``todo`` whose record is there and is replaced.
         skipped: Number of jobs among ``todo`` that this machine cannot run.
     """
 
     todo: tuple[Job, ...]
     done: int
     retried: int
+    again: int
     skipped: int
 
     @property
@@ -83,21 +86,31 @@ def probe_output(out: Path) -> None:
     probe.unlink()
 
 
-def make_plan(jobs: list[Job], out: Path, retry_failed: bool = True) -> Plan:
+def make_plan(jobs: list[Job], out: Path, retry_failed: bool = True, again: bool = False) -> Plan:
     """Sort jobs by what is already there.
+
+    Args:
+        jobs: What is asked for.
+        out: Folder of records.
+        retry_failed: Failed runs are tried again.
+        again: All are run again, whatever is there, be it damaged.
 
     Raises:
         DatasetError: A record is damaged or altered, or is of another run.
     """
-    todo, done, retried = [], 0, 0
+    todo, done, retried, replaced = [], 0, 0, 0
     for job in {job.hash: job for job in jobs}.values():  # each once, however often it is asked for
+        if again:
+            todo.append(job)
+            replaced += (out / job.path).exists()
+            continue
         status = _recorded_status(out / job.path, job)
         if status is None or (status != "ok" and retry_failed):
             todo.append(job)
             retried += status not in (None, SKIPPED) and job.settings.unavailable is None
         else:
             done += 1
-    return Plan(tuple(todo), done, retried, sum(job.settings.unavailable is not None for job in todo))
+    return Plan(tuple(todo), done, retried, replaced, sum(job.settings.unavailable is not None for job in todo))
 
 
 def _recorded_status(path: Path, job: Job) -> str | None:
@@ -110,7 +123,7 @@ def _recorded_status(path: Path, job: Job) -> str | None:
     except (FileNotFoundError, NotADirectoryError):
         return None  # nothing there, or nowhere to write, which is noticed before the work
     except (OSError, ValueError, KeyError, TypeError):
-        raise DatasetError(f"{path}: damaged record; delete it and run again") from None
+        raise DatasetError(f"{path}: damaged record; delete it, or run with --again") from None
     raise DatasetError(f"{path}: record of another run; choose another --out")
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
@@ -31,7 +32,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-TIMES_AND_MACHINE = ("latency", "initialise_s", "environment")
+TIMES_AND_MACHINE = ("latency", "initialise_s", "environment", "seal")
 
 
 def without_times(value: Any) -> Any:
@@ -322,6 +323,29 @@ def test_a_damaged_record_is_named(dataset: Path, tmp_path: Path, capsys: pytest
     capsys.readouterr()
     surgbench(*command, expect=2)
     assert "000-left-r0.json: damaged record" in capsys.readouterr().err
+
+
+def test_again_makes_the_asked_records_anew(dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    asked = (*RUN, "--dataset", dataset, "--tracker", f"{STRANGERS}:Still", "--out", tmp_path)
+    surgbench(*asked)
+    left, right = sorted(tmp_path.rglob("*-r0.json"))
+    sound = json.loads(left.read_text())
+    left.write_text(left.read_text().replace('"mask_error":[', '"mask_error":[0.0,', 1))
+    untouched = right.read_bytes()
+    surgbench(*asked, expect=2)
+    complaint = capsys.readouterr().err
+    assert f"{left}: altered: its content is not what was written" in complaint
+    assert "--again" in complaint
+    surgbench(*asked, "--sequences", 1, "--again")
+    assert "1 runs, 4 frames to track; 1 recorded already and made again" in capsys.readouterr().err
+    assert without_times(json.loads(left.read_text())) == without_times(sound)
+    assert right.read_bytes() == untouched
+    left.write_text(left.read_text()[:200])
+    surgbench(*asked, "--again")
+    assert "2 recorded already and made again" in capsys.readouterr().err
+    assert [record["status"] for record in records(tmp_path)] == ["ok", "ok"]
+    surgbench(*asked, "--again", "--dry-run")
+    assert capsys.readouterr().out.count(".json") == 2
 
 
 def command(*arguments: object) -> list[str]:
