@@ -113,6 +113,19 @@ class FailsOnce(Still):
         return observation.start
 
 
+class Signs(Still):
+    """Notes its process in a file that the environment names, and takes its time."""
+
+    name = "signs"
+
+    def step(self, observation: Any) -> Any:
+        if observation.index == 1:
+            with open(os.environ["SURGBENCH_TEST_FLAG"], "a") as file:  # noqa: PTH123
+                file.write(f"{os.getpid()}\n")
+        time.sleep(0.2)
+        return observation.start
+
+
 class NoStep:
     name = "no-step"
 

@@ -53,8 +53,7 @@ def run(
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be run, and run nothing.")] = False,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of records.")] = Path("runs"),
 ) -> None:
-    """Run trackers, or viewpoint controllers, on a dataset; every run becomes a record, and is not run again
-    without --again.
+    """Run trackers, or viewpoint controllers, on a dataset; every run becomes a record, and is not run again.
 
     Example: surgbench run --dataset data/mini --tracker cmaes --set cmaes.iterations=5
 
@@ -108,7 +107,9 @@ def run(
     if plan.todo:
         probe_output(out)
         with progress("frames", plan.frames) as bar:
-            run_plan(plan, data, out, jobs, Run(bar, bar.stage), finished)
+            elsewhere = run_plan(plan, data, out, jobs, Run(bar, bar.stage), finished)
+        if elsewhere:
+            print(f"{elsewhere} of these were made by another call at the same time", file=sys.stderr)
     for record in failures:
         spec = record["spec"]
         print(f"{spec['row_id']} {spec['unit']}: {record['status']}: {record['error']}", file=sys.stderr)

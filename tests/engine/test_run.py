@@ -18,6 +18,7 @@ from commandline import RUN, STRANGERS, records, surgbench
 from surgbench.dataset.open import open_as
 from surgbench.generators.generate import generate, plan_dataset
 from surgbench.generators.presets import load_preset
+from surgbench.suite.claim import claim
 from surgbench.tasks.instrument.dataset import InstrumentDataset
 from surgbench.tasks.instrument.records import InstrumentFrames, InstrumentRecord
 from surgbench.tasks.instrument.replay import replay_traces
@@ -346,6 +347,46 @@ def test_again_makes_the_asked_records_anew(dataset: Path, tmp_path: Path, capsy
     assert [record["status"] for record in records(tmp_path)] == ["ok", "ok"]
     surgbench(*asked, "--again", "--dry-run")
     assert capsys.readouterr().out.count(".json") == 2
+
+
+def test_two_calls_into_one_folder_share_the_work(dataset: Path, tmp_path: Path) -> None:
+    out, flag = tmp_path / "runs", tmp_path / "pids"
+    asked = (*RUN, "--dataset", dataset, "--tracker", f"{STRANGERS}:Signs", "--repeats", 3, "--out", out)
+    environment = {**os.environ, "SURGBENCH_TEST_FLAG": str(flag)}
+
+    pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    calls = [subprocess.Popen(command(*asked), env=environment, **pipes) for _ in range(2)]
+    said = [call.communicate(timeout=300) for call in calls]
+    assert [call.returncode for call in calls] == [0, 0], said
+    assert len(flag.read_text().split()) == 6
+    assert said[0][0] == said[1][0]
+    assert [record["status"] for record in records(out)] == ["ok"] * 6
+    assert not list(out.rglob("*.lock"))
+
+
+def test_what_another_call_leaves_undone_is_done_here(dataset: Path, tmp_path: Path) -> None:
+    """Its lock is held until it is gone; one that a killed call left behind holds nobody up."""
+    asked = (*RUN, "--dataset", dataset, "--tracker", f"{STRANGERS}:Still", "--out", tmp_path)
+    surgbench(*asked)
+    left, right = sorted(tmp_path.rglob("*-r0.json"))
+    left.unlink()
+    right.unlink()
+    right.with_name(f"{right.name}.lock").touch()
+    with claim(left) as ours:
+        assert ours
+        process = subprocess.Popen(command(*asked), stderr=subprocess.PIPE, text=True)
+        assert process.stderr is not None
+        said = ""
+        while "waiting for another call's runs" not in said:
+            line = process.stderr.readline()
+            assert line, said
+            said += line
+        assert right.exists()
+        assert not left.exists()
+    assert process.communicate(timeout=120)[1] is not None
+    assert process.returncode == 0
+    assert [record["status"] for record in records(tmp_path)] == ["ok", "ok"]
+    assert not list(tmp_path.rglob("*.lock"))
 
 
 def command(*arguments: object) -> list[str]:
