@@ -33,9 +33,10 @@ class DatasetRef(Part):
 
 
 class Plug(Part):
-    """A plug-in and its effective options."""
+    """A plug-in, its effective options, and where its code is from, with the hash of that: ``place@hash``."""
 
     name: str
+    source: str = ""
     options: dict[str, Any] = {}
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from surgbench.records.format import SKIPPED, Record
 from surgbench.records.reader import read_records
 from surgbench.report.row import COMMON_COLUMNS, Row, median, pooled
+from surgbench.report.telling import telling_variants
 from surgbench.task import Task, default_task, find_task
 
 
@@ -32,23 +33,29 @@ def derive_rows(records: Sequence[Record]) -> list[Row]:
     Returns:
         Rows with the columns of their tasks, ``None`` where there is no value; by dataset and group, sound rows, then
         floors, then failed and skipped ones, each by what its task ranks by. Two datasets of one name get the start of
-        their hash added to it.
+        their hash added to it; two rows of one name that their variants do not tell apart, to their variants
+        (:func:`~surgbench.report.telling.telling_variants`).
     """
     groups: dict[tuple[str, str, str, str], list[Record]] = {}
     for record in sorted(records, key=lambda r: (r.spec.unit, r.spec.repeat, r.spec_hash)):
         spec = record.spec
         group = find_task(spec.task).group(record)
         groups.setdefault((spec.dataset.sha256, spec.row_id, record.settings_hash, group), []).append(record)
+    namesakes: dict[tuple[str, str, str], list[Record]] = {}
+    for (sha256, row_id, _, group), members in groups.items():
+        namesakes.setdefault((sha256, row_id, group), []).append(members[0])
+    variants = {key: telling_variants(members) for key, members in namesakes.items()}
     names = {record.spec.dataset.sha256: record.spec.dataset.name for record in records}
     ranked: list[tuple[Any, Row]] = []
-    for (sha256, *key, group), members in groups.items():
+    for (sha256, row_id, settings_hash, group), members in groups.items():
         task = find_task(members[0].spec.task)
-        rows = task.rows(_head(members), members)
+        variant = variants[sha256, row_id, group][settings_hash]
+        rows = task.rows({**_head(members), "variant": variant}, members)
         for row in rows:
             if list(names.values()).count(row["dataset"]) > 1:
                 row["dataset"] = f"{names[sha256]}@{sha256[:8]}"
         place = _place(task, next(row for row in rows if task.is_whole(row)), group)
-        ranked += [((*place, sha256, *key), row) for row in rows]
+        ranked += [((*place, sha256, row_id, settings_hash), row) for row in rows]
     ranked.sort(key=lambda item: item[0])  # stable: the rows of one run stay in their task's order
     return [row for _, row in ranked]
 
@@ -86,7 +93,6 @@ def _head(records: Sequence[Record]) -> Row:
         "task": spec.task,
         "dataset": spec.dataset.name,
         "tracker": spec.tracker.name,
-        "variant": records[0].variant,
         "settings_hash": records[0].settings_hash,
         "status": failed.status if failed else "ok",
         "error": failed.error if failed else None,

@@ -348,6 +348,26 @@ def test_table_shows_variants_where_names_are_the_same(tmp_path: Path) -> None:
     assert "readings" in render.table(read_rows([tmp_path]), width=80)
 
 
+def test_two_plugins_of_one_name_can_be_told_apart(tmp_path: Path) -> None:
+    for folder, source in (("a", "a.py:Still@1a2b3c4d"), ("b", "b.py:Still@5e6f7a8b")):
+        content = record()
+        tracker = content["spec"]["tracker"] | {"source": source}
+        content |= {"spec": content["spec"] | {"tracker": tracker}, "settings_hash": source[-8:]}
+        write(tmp_path / folder, content)
+    rows = read_rows([tmp_path])
+    assert {row["variant"] for row in rows} == {f"none/truth kalman, cmaes@{digits}" for digits in ("1a2b3c", "5e6f7a")}
+    assert "cmaes@1a2b3c" in render.table(rows, width=80).replace("\n", "")
+    # What is only there once needs no hash.
+    assert only(read_rows([tmp_path / "a"]))["variant"] == "none/truth kalman"
+
+
+def test_rows_that_nothing_tells_apart_get_the_hash_of_their_settings(tmp_path: Path) -> None:
+    for seed in (1, 2):
+        write(tmp_path / str(seed), with_seed(seed, record()))
+    variants = {row["variant"] for row in read_rows([tmp_path])}
+    assert variants == {"none/truth kalman, settings 111111", "none/truth kalman, settings 222222"}
+
+
 def test_brackets_in_names_are_not_markup(tmp_path: Path) -> None:
     console = Console(file=io.StringIO(), width=100)
     render.print_leaderboard(read_rows([write(tmp_path, record(row_id="a[b]"))]), console)

@@ -97,6 +97,24 @@ def test_observations_hold_no_truth(dataset: Path, tmp_path: Path) -> None:
     assert all(record["status"] == "ok" for record in records(tmp_path))
 
 
+def test_two_files_trackers_of_one_name_are_two_rows(
+    dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name, shift in (("a", 0.0), ("b", 0.01)):
+        text = f"def step(self, observation):\n        return observation.start + {shift}\n"
+        (tmp_path / f"{name}.py").write_text(
+            f"class Still:\n    name = 'still'\n\n    def reset(self, scene, state, rng): ...\n\n    {text}"
+        )
+    trackers = [word for name in "ab" for word in ("--tracker", f"{tmp_path / name}.py:Still")]
+    surgbench(*RUN, "--dataset", dataset, *trackers, "--out", tmp_path / "runs", "--sequences", 1)
+    hashes = {record["spec"]["tracker"]["source"].rpartition("@")[2][:6] for record in records(tmp_path)}
+    assert len(hashes) == 2
+    capsys.readouterr()
+    surgbench("report", tmp_path / "runs", "--format", "markdown")
+    page = capsys.readouterr().out
+    assert all(page.count(f"| still | keypoints observed, still@{digits} |") == 1 for digits in hashes)
+
+
 @pytest.mark.parametrize(
     ("name", "status", "message", "frames"),
     [

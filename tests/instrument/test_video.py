@@ -308,6 +308,19 @@ def test_rows_of_one_name_get_their_variant(dataset: InstrumentDataset, tmp_path
     }
 
 
+def test_plugins_of_one_name_get_the_start_of_their_hashes(dataset: InstrumentDataset, tmp_path: Path) -> None:
+    runs = []
+    for name, digits in (("a", "1a2b3c4d"), ("b", "5e6f7a8b")):
+        content = run_of(dataset, "cmaes", [50.0])
+        tracker = content["spec"]["tracker"] | {"source": f"{name}.py:Still@{digits}"}
+        content |= {"spec": content["spec"] | {"tracker": tracker}, "settings_hash": digits}
+        runs.append(write(tmp_path / name, content))
+    assert {shot.title for shot in make_shots(read_records_of(InstrumentRecord, runs))} == {
+        "cmaes (none/random kalman, cmaes@1a2b3c)",
+        "cmaes (none/random kalman, cmaes@5e6f7a)",
+    }
+
+
 def test_spread_frames() -> None:
     assert spread_frames(60, 5) == [0, 15, 30, 44, 59]
     assert spread_frames(3, 5) == [0, 1, 2]
