@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from surgbench.comparison.keypoints import Group, Seen, picture, worst
 from surgbench.files import write_atomic
 from surgbench.keypoints.labelled import LabelledMasks
+from surgbench.report.markdown import markdown_table
 from surgbench.suite.environment import environment
 
 if TYPE_CHECKING:
@@ -104,6 +105,4 @@ def _write_picture(path: Path, image: NDArray[np.uint8]) -> None:
 
 def _markdown(rows: Sequence[Group]) -> str:
     headings = [heading.replace("\n", " ") for heading in HEADINGS]
-    lines = [f"| {' | '.join(headings)} |", "| --- | --- |" + " ---: |" * (len(headings) - 2)]
-    lines += [f"| {' | '.join(_cells(group))} |" for group in rows]
-    return "\n".join(lines) + "\n"
+    return markdown_table([headings, *map(_cells, rows)], text_columns=2) + "\n"

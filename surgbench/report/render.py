@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from surgbench.records.format import SKIPPED
 from surgbench.report.column import ROW, STATUS, VARIANT, Column
+from surgbench.report.markdown import escape, markdown_table
 from surgbench.report.row import Row
 from surgbench.report.rows import columns as columns_of
 from surgbench.task import find_task
@@ -48,21 +49,18 @@ def markdown(rows: Sequence[Row]) -> str:
         unsound = _unsound(group)
         if unsound:
             columns.append(STATUS)
-        lines = [
-            f"### {_escape(title)}",
-            "",
-            _markdown_line([column.long for column in columns]),
-            _markdown_line(["---" if column.decimals is None else "---:" for column in columns]),
-        ]
+        lines = [[column.heading for column in columns]]
         for row in group:
-            cells = [_escape(column.text(row)) for column in columns]
-            marked = [
-                f"**{cell}**" if _is_best(column, row, best) else cell
-                for column, cell in zip(columns, cells, strict=True)
-            ]
-            lines.append(_markdown_line(marked))
-        failures = [f"- {_escape(_reason(row))}" for row in unsound]
-        parts.append("\n".join([*lines, *([""] if failures else []), *failures]) + "\n")
+            cells = [escape(column.text(row[column.key])) for column in columns]
+            lines.append(
+                [
+                    f"**{cell}**" if _is_best(column, row, best) else cell
+                    for column, cell in zip(columns, cells, strict=True)
+                ]
+            )
+        body = markdown_table(lines, [column.decimals is None for column in columns])
+        failures = [f"- {escape(_reason(row))}" for row in unsound]
+        parts.append("\n".join([f"### {escape(title)}", "", body, *([""] if failures else []), *failures]) + "\n")
     return "\n".join(parts)
 
 
@@ -99,7 +97,10 @@ def print_leaderboard(rows: Sequence[Row], console: Console) -> None:
                 min_width=ROW_MIN_WIDTH if is_text else None,
             )
         for row in group:
-            cells = [Text(column.text(row), style="bold" if _is_best(column, row, best) else "") for column in columns]
+            cells = [
+                Text(column.text(row[column.key]), style="bold" if _is_best(column, row, best) else "")
+                for column in columns
+            ]
             sheet.add_row(*cells, style=_style(row))
         console.print(sheet)
         for row in _unsound(group):
@@ -170,11 +171,3 @@ def _reason(row: Row) -> str:
 
 def _style(row: Row) -> str | None:
     return {"ok": None, SKIPPED: "dim"}.get(row["status"], "red")
-
-
-def _markdown_line(cells: list[str]) -> str:
-    return f"| {' | '.join(cells)} |"
-
-
-def _escape(text: str) -> str:
-    return text.replace("\\", "\\\\").replace("|", "\\|").replace("\n", " ")

@@ -12,7 +12,7 @@ from surgbench.report.row import COMMON_COLUMNS, Row
 
 if TYPE_CHECKING:
     from surgbench.dataset.base import Dataset
-    from surgbench.reproduce.compare import Measure
+    from surgbench.report.column import Column
     from surgbench.reproduce.results import BlockWork, Results
     from surgbench.reproduce.table import Definition
 
@@ -54,7 +54,7 @@ class Sheet:
     page: Callable[[Definition, Results], str]
     draw: Callable[[Definition, Sequence[BlockWork], Path], list[str]]
     estimates: str
-    measures: tuple[Measure, ...] = ()
+    measures: tuple[Column, ...] = ()
 
     @property
     def leaderboard(self) -> tuple[str, ...]:

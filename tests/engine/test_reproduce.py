@@ -26,7 +26,7 @@ from surgbench.reproduce.published import load_published
 from surgbench.reproduce.results import Results
 from surgbench.reproduce.table import Definition
 from surgbench.task import find_task
-from surgbench.tasks.instrument.measures import PUBLISHED
+from surgbench.tasks.instrument.columns import PUBLISHED
 from surgbench.tasks.instrument.page import markdown
 
 FRAMES = 12
