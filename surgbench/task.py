@@ -20,6 +20,7 @@ from surgbench.errors import ConfigError, NotFoundError, SurgbenchError, unknown
 from surgbench.records.format import Record
 from surgbench.registry import default_task_name, discover
 from surgbench.report.column import Column
+from surgbench.report.field import Field
 from surgbench.report.row import COMMON_COLUMNS, Row
 from surgbench.report.video_options import VideoOptions
 from surgbench.reproduce.sheet import Sheet
@@ -111,8 +112,8 @@ class Task(ABC):
         return Record
 
     @property
-    def columns(self) -> tuple[str, ...]:
-        """Of the leaderboard, in order."""
+    def columns(self) -> tuple[Field, ...]:
+        """Of the leaderboard, in order, with their types."""
         return COMMON_COLUMNS
 
     @property

@@ -6,14 +6,14 @@ millimetres for lengths, the best value of a column in bold.
 
 from __future__ import annotations
 
-import csv as csv_format
 import io
-import json as json_format
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 from surgbench.records.format import SKIPPED
 from surgbench.report.column import ROW, STATUS, VARIANT, Column
+from surgbench.report.field import keys
+from surgbench.report.frame import csv_text, json_list, to_frame, to_rows
 from surgbench.report.markdown import escape, markdown_table
 from surgbench.report.row import Row
 from surgbench.report.rows import columns as columns_of
@@ -28,17 +28,18 @@ ROW_MIN_WIDTH = 8
 
 def csv(rows: Sequence[Row]) -> str:
     """All columns; floats with all their digits, empty cells for missing values."""
-    out = io.StringIO()
-    writer = csv_format.DictWriter(out, columns_of(rows), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows([{key: value for key, value in row.items() if key in columns_of([row])} for row in rows])
-    return out.getvalue()
+    return csv_text(to_frame(_own(rows), columns_of(rows)))
 
 
 def json(rows: Sequence[Row]) -> str:
     """A list of rows; floats with all their digits, null for missing values."""
-    rows = [{key: row[key] for key in columns_of([row])} for row in rows]
-    return json_format.dumps(rows, indent=2, allow_nan=False, ensure_ascii=False) + "\n"
+    typed = to_rows(to_frame(_own(rows), columns_of(rows)))
+    return json_list([{key: one[key] for key in keys(columns_of([row]))} for row, one in zip(rows, typed, strict=True)])
+
+
+def _own(rows: Sequence[Row]) -> list[Row]:
+    """Each with the columns of its own task only."""
+    return [{key: row[key] for key in keys(columns_of([row]))} for row in rows]
 
 
 def markdown(rows: Sequence[Row]) -> str:

@@ -10,6 +10,7 @@ import numpy as np
 
 from surgbench.records.format import SKIPPED, Record
 from surgbench.records.reader import read_records
+from surgbench.report.field import Field, keys
 from surgbench.report.row import COMMON_COLUMNS, Row, median, pooled
 from surgbench.report.telling import telling_variants
 from surgbench.task import Task, default_task, find_task
@@ -60,7 +61,7 @@ def derive_rows(records: Sequence[Record]) -> list[Row]:
     return [row for _, row in ranked]
 
 
-def columns(rows: Sequence[Row]) -> tuple[str, ...]:
+def columns(rows: Sequence[Row]) -> tuple[Field, ...]:
     """The columns that rows have: those of their task, or of all of their tasks."""
     tasks = [find_task(name) for name in sorted({row["task"] for row in rows})] or [default_task()]
     return tuple(dict.fromkeys(column for task in tasks for column in task.columns))
@@ -88,7 +89,7 @@ def _head(records: Sequence[Record]) -> Row:
     done = sum(len(record.frames.index) for record in records)
     latency = pooled(records, "latency_ms")
     return {
-        **dict.fromkeys(COMMON_COLUMNS),
+        **dict.fromkeys(keys(COMMON_COLUMNS)),
         "row_id": spec.row_id,
         "task": spec.task,
         "dataset": spec.dataset.name,

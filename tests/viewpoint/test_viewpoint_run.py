@@ -14,6 +14,7 @@ import yaml
 from commandline import STRANGERS, records, surgbench
 
 from surgbench.dataset.open import open_dataset
+from surgbench.report.field import keys
 from surgbench.report.rows import read_rows
 from surgbench.tasks.viewpoint.dataset import ViewpointDataset
 from surgbench.tasks.viewpoint.records import ViewpointFrames, ViewpointRecord
@@ -68,7 +69,7 @@ def test_rows_are_of_subsets_that_make_up_the_whole(runs: Path) -> None:
     whole, free, bound = by_subset.values()
     assert whole["samples"] == 2 * SAMPLES == free["samples"] + bound["samples"]
     assert whole["constrained_percent"] == pytest.approx(100 * bound["samples"] / whole["samples"])
-    assert set(VIEWPOINT_COLUMNS) <= set(whole)
+    assert set(keys(VIEWPOINT_COLUMNS)) <= set(whole)
     assert whole["no_go_violations"] == whole["limit_violations"] == whole["clipped_commands"] == 0
     own = [record["frames"] for record in records(runs) if record["spec"]["row_id"] == "gaze"]
     times = np.concatenate([np.array(frames["latency_ms"])[np.array(frames["rules"]) != 0] for frames in own])
@@ -122,10 +123,10 @@ def test_reports(runs: Path, form: str, capsys: pytest.CaptureFixture[str]) -> N
     assert "autocam" in out
     if form == "csv":
         lines = list(csv.DictReader(out.splitlines()))
-        assert tuple(lines[0]) == VIEWPOINT_COLUMNS
+        assert tuple(lines[0]) == keys(VIEWPOINT_COLUMNS)
         assert {line["subset"] for line in lines} >= {"all", "unconstrained", "constrained"}
     elif form == "json":
-        assert set(json.loads(out)[0]) == set(VIEWPOINT_COLUMNS)
+        assert set(json.loads(out)[0]) == set(keys(VIEWPOINT_COLUMNS))
     else:
         assert "VVA" in out
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from surgbench.conformance.subject import Check
 from surgbench.report.column import Column
+from surgbench.report.field import Field
 from surgbench.report.row import Row
 from surgbench.report.video_options import VideoOptions
 from surgbench.reproduce.sheet import Sheet
@@ -78,7 +79,7 @@ class InstrumentTask(Task):
         return InstrumentRecord
 
     @property
-    def columns(self) -> tuple[str, ...]:
+    def columns(self) -> tuple[Field, ...]:
         """Settings, errors, jitter, lags."""
         from surgbench.tasks.instrument.rows import INSTRUMENT_COLUMNS
 

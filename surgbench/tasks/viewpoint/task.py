@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from surgbench.conformance.subject import Check
 from surgbench.report.column import Column
+from surgbench.report.field import Field
 from surgbench.report.row import Row
 from surgbench.reproduce.sheet import Sheet
 from surgbench.suite.asked import Conditions
@@ -80,7 +81,7 @@ class ViewpointTask(Task):
         return ViewpointRecord
 
     @property
-    def columns(self) -> tuple[str, ...]:
+    def columns(self) -> tuple[Field, ...]:
         """Errors, rules that were broken, what the pictures show."""
         from surgbench.tasks.viewpoint.rows import VIEWPOINT_COLUMNS
 
