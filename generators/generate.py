@@ -12,7 +12,6 @@ from typing import Any
 
 import yaml
 
-from surgbench import __version__
 from surgbench.camera import Camera
 from surgbench.camera.change_of_view import ChangeOfView
 from surgbench.dataset import tables
@@ -57,6 +56,7 @@ from surgbench.tasks.instrument.format import (
     states_path,
     view_folder,
 )
+from surgbench.version import __version__
 
 __all__ = ["Part", "Plan", "generate", "plan_dataset"]
 

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from surgbench import __version__
 from surgbench.dataset import tables
 from surgbench.dataset.manifest import FORMAT, observations_path
 from surgbench.dataset.writer import DatasetWriter, collect, read_part
@@ -38,6 +37,7 @@ from surgbench.tasks.viewpoint.format import (
     feature_path,
     scene_path,
 )
+from surgbench.version import __version__
 from surgbench.viewpoint.trial import Trial
 
 # Numbers of six digits and more compress badly.

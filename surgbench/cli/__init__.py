@@ -11,7 +11,6 @@ from typing import Annotated
 
 import typer
 
-from surgbench import __version__
 from surgbench.cli.bench import bench_app
 from surgbench.cli.check import tracker
 from surgbench.cli.generate import generate
@@ -27,6 +26,7 @@ from surgbench.cli.video import video
 from surgbench.errors import SurgbenchError
 from surgbench.suite.asked import RowRequest
 from surgbench.task import all_tasks
+from surgbench.version import __version__
 
 INTERRUPTED = 130  # typer's own exit code for Ctrl-C, and the shell's
 

@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from surgbench import __version__
 from surgbench.camera import Camera, read_camera
 from surgbench.camera.undistortion import COEFFICIENTS, Undistortion, is_distorted
 from surgbench.config import Section
@@ -38,6 +37,7 @@ from surgbench.tasks.instrument.format import (
     observed_path,
 )
 from surgbench.tasks.instrument.tables import KEYPOINT_COLUMNS, READING_COLUMNS, arm_columns
+from surgbench.version import __version__
 
 CAMERA_NAME = "camera"
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")

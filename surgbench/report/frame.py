@@ -90,7 +90,7 @@ def read_csv(text: str, fields: Sequence[Field]) -> DataFrame:
     if not text.endswith("\n"):
         raise ValueError("truncated")
     # Cells as they stand: pandas' own ways to read numbers are not exact in all its versions.
-    cells = pd.read_csv(io.StringIO(text), dtype=str, na_filter=False)
+    cells = pd.read_csv(io.StringIO(text), dtype=str, na_filter=False, lineterminator="\n")
     if tuple(cells.columns) != keys(fields):
         raise ValueError("other columns than this version of surgbench writes")
     if not isinstance(cells.index, pd.RangeIndex):

@@ -8,11 +8,17 @@ import math
 from pathlib import Path
 
 import pytest
+from fabricate import failed, record, write
 from hypothesis import given
 from hypothesis import strategies as st
 
+import surgbench
+from surgbench.errors import DatasetError
+from surgbench.report import render
 from surgbench.report.field import count, flag, keys, number, text
 from surgbench.report.frame import csv_text, read_csv, to_frame, to_rows
+from surgbench.report.notebook import RECORD_COLUMNS
+from surgbench.report.rows import read_rows
 from surgbench.reproduce.files import LEADERBOARD_CSV, LEADERBOARD_MD, RECORDS_JSON, SEQUENCES_CSV, read_results
 from surgbench.reproduce.load import load_table
 from surgbench.task import Task, all_tasks, find_task
@@ -117,3 +123,57 @@ def test_a_row_may_be_called_nan() -> None:
 def test_columns_are_declared_once(task: Task) -> None:
     assert len(set(keys(task.columns))) == len(task.columns)
     assert {column.key for column in task.shown} <= set(keys(task.columns))
+
+
+# --- for notebooks
+
+
+@pytest.fixture
+def runs(tmp_path: Path) -> Path:
+    return write(tmp_path / "runs", record(), record(unit="000-right", frames=6), failed(row_id="stuck"))
+
+
+def test_a_leaderboard_is_what_report_writes(runs: Path) -> None:
+    frame = surgbench.leaderboard(runs)
+    assert csv_text(frame) == render.csv(read_rows([runs]))
+    assert frame["frames"].tolist() == [10, 0]
+    assert str(frame["frames"].dtype) == "Int64"
+
+
+def test_records_are_lines(runs: Path) -> None:
+    frame = surgbench.load_records(str(runs))
+    assert len(frame) == len(list(runs.rglob("*-r*.json")))
+    assert tuple(frame.columns)[: len(RECORD_COLUMNS)] == keys(RECORD_COLUMNS)
+    first, second, stuck = to_rows(frame)
+    assert (first["row_id"], first["unit"], first["repeat"], first["frames"]) == ("cmaes", "000-left", 0, 4)
+    assert (second["unit"], second["frames"]) == ("000-right", 6)
+    assert first["rotation_error_rad"] == pytest.approx((0.1 + 0.2 + 0.3 + 0.4) / 4)
+    assert first["latency_ms"] == 11.5
+    assert (first["filter"], first["readings"], first["arms"], first["view"]) == ("kalman", "none", "left", None)
+    assert first["option.iterations"] == 3
+    assert str(frame["option.iterations"].dtype) == "Int64"
+    assert (stuck["status"], stuck["mask_error"], stuck["latency_ms"]) == ("failed", None, None)
+    assert "returned" in stuck["error"]
+    assert Path(first["path"]).is_file()
+
+
+def test_options_are_flat_and_of_the_narrowest_type(tmp_path: Path) -> None:
+    options: list[dict[str, object]] = [
+        {"iterations": 3, "rate": 1, "mean": "last", "robust": True, "loss": {"tolerance_px": 10.0}, "mixed": 1},
+        {"iterations": 5, "rate": 0.5, "robust": False, "mixed": "auto"},
+    ]
+    for place, one in enumerate(options):
+        content = record(row_id=f"r{place}") | {"settings_hash": f"{place}" * 16, "spec_hash": f"{place}" * 16}
+        content["spec"]["tracker"]["options"] = one
+        write(tmp_path / f"{place}", content)
+    frame = surgbench.load_records(tmp_path / "0", tmp_path / "1")
+    found = {key: str(frame[f"option.{key}"].dtype) for key in ("iterations", "rate", "mean", "robust", "mixed")}
+    assert found == {"iterations": "Int64", "rate": "float64", "mean": "string", "robust": "boolean", "mixed": "string"}
+    assert to_rows(frame)[0]["option.loss.tolerance_px"] == 10.0
+    assert [row["option.mean"] for row in to_rows(frame)] == ["last", None]
+
+
+def test_a_folder_without_records_is_named(tmp_path: Path) -> None:
+    for load in (surgbench.load_records, surgbench.leaderboard):
+        with pytest.raises(DatasetError, match="holds no records"):
+            load(tmp_path)
