@@ -141,7 +141,8 @@ class _Worker:
                 return 0
             about = describe_trial(trial, self._preset.level).model_dump(mode="json")
             writer.write(TRIAL, encode_trial(trial), about)
-        return draw_samples(self._preset, trial_id)
+        samples: int = draw_samples(self._preset, trial_id)
+        return samples
 
 
 def encode_trial(trial: Trial) -> dict[str, bytes]:
