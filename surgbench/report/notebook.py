@@ -25,9 +25,6 @@ RECORD_COLUMNS = (
     *count("frames"),
     *text("variant", "settings_hash", "spec_hash", "sequence", "level"),
 )
-# What of a task's specification is said by other columns.
-_COMMON = frozenset(RecordSpec.model_fields)
-_LATENCY = "latency_"
 
 
 def load_records(*directories: str | Path) -> DataFrame:
@@ -46,18 +43,13 @@ def load_records(*directories: str | Path) -> DataFrame:
         DatasetError: A folder is missing or has no record, or a file below it is damaged.
     """
     records = read_records(map(Path, directories))
-    rows = [_row(record) for record in records]
-    known = {field.key: field for field in RECORD_COLUMNS}
-    found: dict[str, list[Any]] = {}
-    for row in rows:
-        for key, value in row.items():
-            found.setdefault(key, []).append(value)
-    others = [key for key in found if key not in known and key != "path"]
-    settings, errors, latencies = ([key for key in others if _rank(key, records) == rank] for rank in range(3))
+    settings, errors, latencies = ([take(record) for record in records] for take in (_settings, _errors, _latencies))
+    parts = zip(map(_common, records), settings, errors, latencies, strict=True)
+    rows = [{key: value for part in own for key, value in part.items()} for own in parts]
     fields = [
         *RECORD_COLUMNS,
-        *(_field(key, found[key]) for key in settings),
-        *number(*errors, *latencies),
+        *(_field(key, [one.get(key) for one in settings]) for key in _keys(settings)),
+        *number(*_keys(errors), *_keys(latencies)),
         *text("path"),
     ]
     return to_frame(rows, fields)
@@ -79,9 +71,14 @@ def leaderboard(*directories: str | Path) -> DataFrame:
     return to_frame(rows, columns(rows))
 
 
-def _row(record: Record) -> dict[str, Any]:
+def _keys(parts: list[dict[str, Any]]) -> tuple[str, ...]:
+    """Of all records, in the order in which they are met."""
+    return tuple(dict.fromkeys(key for part in parts for key in part))
+
+
+def _common(record: Record) -> dict[str, Any]:
     spec = record.spec
-    row: dict[str, Any] = {
+    return {
         "row_id": spec.row_id,
         "task": spec.task,
         "dataset": spec.dataset.name,
@@ -96,18 +93,28 @@ def _row(record: Record) -> dict[str, Any]:
         "spec_hash": record.spec_hash,
         "sequence": spec.sequence,
         "level": spec.level,
+        "path": record.path,
     }
+
+
+def _settings(record: Record) -> dict[str, Any]:
+    """What the task's specification says besides, and the tracker's options."""
+    spec = record.spec
+    settings: dict[str, Any] = {}
     for key in type(spec).model_fields:
-        if key not in _COMMON:
-            row |= _setting(key, getattr(spec, key))
-    row |= {f"option.{key}": value for key, value in _flat(spec.tracker.options)}
-    for error, values in record.errors.items():
-        finite = values[~np.isnan(values)]
-        row[error] = float(finite.mean()) if finite.size else None
-    for key in type(record.frames).model_fields:
-        if key.startswith(_LATENCY):
-            row[key] = median(pooled([record], key))
-    return {**row, "path": str(record.path)}
+        if key not in RecordSpec.model_fields:
+            settings |= _setting(key, getattr(spec, key))
+    return settings | {f"option.{key}": value for key, value in _flat(spec.tracker.options)}
+
+
+def _errors(record: Record) -> dict[str, float | None]:
+    finite = {key: values[~np.isnan(values)] for key, values in record.errors.items()}
+    return {key: float(values.mean()) if values.size else None for key, values in finite.items()}
+
+
+def _latencies(record: Record) -> dict[str, float | None]:
+    keys = [key for key in type(record.frames).model_fields if key.startswith("latency_")]
+    return {key: median(pooled([record], key)) for key in keys}
 
 
 def _setting(key: str, value: Any) -> dict[str, Any]:
@@ -117,7 +124,7 @@ def _setting(key: str, value: Any) -> dict[str, Any]:
 
 
 def _flat(options: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Nested options with dots, lists as text."""
+    """Nested options with dots."""
     for name, value in options.items():
         if isinstance(value, Mapping):
             yield from _flat(value, f"{prefix}{name}.")
@@ -125,17 +132,12 @@ def _flat(options: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, A
             yield prefix + name, value
 
 
-def _rank(key: str, records: list[Record]) -> int:
-    """0: a setting; 1: an error; 2: a latency."""
-    return 2 if key.startswith(_LATENCY) else int(any(key in record.errors for record in records))
-
-
 def _field(key: str, values: list[Any]) -> Field:
     """A column of the narrowest type that holds all values."""
     there = [value for value in values if value is not None]
     if there and all(isinstance(value, bool) for value in there):
         return Field(key, "flag")
-    if there and all(type(value) is int for value in there):
+    if there and all(type(value) is int and abs(value) < 2**63 for value in there):
         return Field(key, "count")
     if there and all(isinstance(value, int | float) and not isinstance(value, bool) for value in there):
         return Field(key, "number")
