@@ -6,11 +6,11 @@ import contextlib
 import os
 import subprocess
 import sys
+from collections.abc import Mapping
 from multiprocessing.connection import Pipe
 from typing import Any
 
-# One core for every tracker: latencies compare, and results do not depend on the machine's cores.
-ONE_THREAD = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")}
+from surgbench.processes.threads import THREADS
 
 
 class ChildProblemError(Exception):
@@ -33,18 +33,19 @@ class Child:
     Args:
         timeout_s: The longest silence that is waited for.
         module: What it runs.
+        environment: What its environment has besides, or otherwise than, this process's.
 
     Attributes:
         timeout_s: May be changed between messages.
     """
 
-    def __init__(self, timeout_s: float, module: str) -> None:
+    def __init__(self, timeout_s: float, module: str, environment: Mapping[str, str] = THREADS) -> None:
         self.timeout_s = timeout_s
         self._connection, theirs = Pipe()
         self._process = subprocess.Popen(
             [sys.executable, "-m", module, str(theirs.fileno())],
             pass_fds=[theirs.fileno()],
-            env={**os.environ, **ONE_THREAD},
+            env={**os.environ, **environment},
         )
         theirs.close()
 
@@ -53,6 +54,11 @@ class Child:
 
     def __exit__(self, *_: object) -> None:
         self.stop()
+
+    @property
+    def pid(self) -> int:
+        """The process's number."""
+        return self._process.pid
 
     def kill(self) -> None:
         """End the process at once; another thread that waits for it is told."""
