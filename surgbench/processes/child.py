@@ -10,7 +10,11 @@ from collections.abc import Mapping
 from multiprocessing.connection import Pipe
 from typing import Any
 
+from surgbench.processes.service import CALIBRATE
 from surgbench.processes.threads import THREADS
+
+# The reference work may have to be compiled first, on a busy machine.
+CALIBRATION_TIMEOUT_S = 300.0
 
 
 class ChildProblemError(Exception):
@@ -92,3 +96,17 @@ class Child:
         if message[0] == "problem":
             raise ChildProblemError(*message[1:])
         return message
+
+    def calibrate(self) -> list[float]:
+        """Have the reference work timed in there, between messages; milliseconds of each turn.
+
+        Raises:
+            ChildProblemError: As in :meth:`receive`; what the child was to do itself cannot be told any more.
+        """
+        timeout_s, self.timeout_s = self.timeout_s, CALIBRATION_TIMEOUT_S
+        try:
+            self.send(*CALIBRATE)
+            times: list[float] = self.receive()[1]
+        finally:
+            self.timeout_s = timeout_s
+        return times

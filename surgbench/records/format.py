@@ -77,6 +77,7 @@ class Record(Part):
         unit_frames: Frames that were asked for.
         dataset_frames: Frames of all units of the dataset; ``None`` in records of old versions.
         floor: The filter knew the truth.
+        calibration_ms: What the reference work took beside the run; ``None`` in records of old versions.
         whole: Errors that are not of single frames, but of all of them together.
         error_names: All errors that are written.
     """
@@ -92,6 +93,7 @@ class Record(Part):
     unit_frames: int
     dataset_frames: int | None = None
     floor: bool = False
+    calibration_ms: Number = None
     frames: Frames
     errors: dict[str, FloatArray]
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from surgbench.processes.reference import REFERENCE_MS
 from surgbench.records.format import SKIPPED, Record
 from surgbench.records.reader import read_records
 from surgbench.report.field import Field, keys
@@ -103,7 +104,15 @@ def _head(records: Sequence[Record]) -> Row:
         "coverage": done / max(1, _asked(records)),
         "latency_ms": median(latency),
         "latency_ms_p95": float(np.percentile(latency, 95)) if latency.size else None,
+        "calibration_ratio": _calibration_ratio(records),
     }
+
+
+def _calibration_ratio(records: Sequence[Record]) -> float | None:
+    """How many times as long as on the reference machine everything takes."""
+    times = np.array([record.calibration_ms for record in records if record.calibration_ms is not None])
+    middle = median(times)
+    return None if middle is None else middle / REFERENCE_MS
 
 
 def _asked(records: Sequence[Record]) -> int:

@@ -188,15 +188,16 @@ def run(
 
     def make(job: Job) -> dict[str, Any] | None:
         unavailable = job.settings.unavailable
+        part = under_way.part()
         if unavailable is not None:
             done = skipped(unavailable)
         else:
-            part = under_way.part()
             done = task.execute(job, dataset, part)
             if under_way.stopping:
                 return None
             part.advance(job.frames - part.done)  # what a failed run never reached
-        record = sealed({**head(job, dataset, environment(job.settings.conditions.device)), **done})
+        about = head(job, dataset, environment(job.settings.conditions.device))
+        record = sealed({**about, "calibration_ms": part.calibration_ms, **done})
         check_written(record, out / job.path)
         _write(out / job.path, (canonical_json(record) + "\n").encode())
         return record

@@ -16,6 +16,7 @@ from typer.testing import CliRunner
 
 from surgbench.cli.report import report
 from surgbench.errors import DatasetError
+from surgbench.processes.reference import REFERENCE_MS
 from surgbench.records.reader import read_records
 from surgbench.report import render
 from surgbench.report.field import keys
@@ -115,6 +116,14 @@ def test_latency_is_the_median_over_all_frames(tmp_path: Path) -> None:
     assert row["latency_ms"] == np.median(pooled)
     assert row["latency_ms_p95"] == pytest.approx(np.percentile(pooled, 95))
     assert row["latency_keypoints_ms"] is None
+
+
+def test_the_calibration_ratio_is_the_median_of_the_records_by_the_reference_machines_time(tmp_path: Path) -> None:
+    assert only(read_rows([write(tmp_path / "old", record())]))["calibration_ratio"] is None
+    times = {"000-left": 3.0, "000-right": 2.0, "001-left": 1.0, "001-right": 7.0, "002-left": None}
+    records = [record(unit=unit, calibration_ms=ratio and ratio * REFERENCE_MS) for unit, ratio in times.items()]
+    row = only(read_rows([write(tmp_path / "new", *records)]))
+    assert row["calibration_ratio"] == pytest.approx(2.5)
 
 
 def test_lags_and_the_filters_time_are_in_rows_of_new_records_only(tmp_path: Path) -> None:

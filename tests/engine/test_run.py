@@ -33,7 +33,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-TIMES_AND_MACHINE = ("latency", "initialise_s", "environment", "seal")
+TIMES_AND_MACHINE = ("latency", "initialise_s", "calibration_ms", "environment", "seal")
 
 
 def without_times(value: Any) -> Any:
@@ -50,6 +50,7 @@ def test_a_strangers_class_runs(dataset: Path, tmp_path: Path, capsys: pytest.Ca
         assert record["status"] == "ok"
         assert len(record["frames"]["state"]) == FRAMES
         assert record["frames"]["state"][0] == record["frames"]["start"][0]
+        assert record["calibration_ms"] > 0
         assert record["environment"]["packages"]["numpy"] == np.__version__
         assert record["spec"]["dataset"]["sha256"] == open_as(InstrumentDataset, dataset).hash
     assert "still" in capsys.readouterr().out
