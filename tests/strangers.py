@@ -6,6 +6,7 @@ import os
 import random
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -157,9 +158,12 @@ class Prints(Still):
 
 
 class Spins(Still):
+    """Never ends; says so by a file that the environment names."""
+
     name = "spins"
 
     def step(self, observation: Any) -> Any:
+        Path(os.environ["SURGBENCH_TEST_FLAG"]).touch()
         while True:
             pass
 
@@ -425,4 +429,4 @@ class Dozing(Watching):
     name = "dozing"
 
     def step(self, observation: Any) -> Any:
-        time.sleep(60)
+        time.sleep(3600)

@@ -16,6 +16,10 @@ from surgbench.processes.threads import THREADS
 # The reference work may have to be compiled first, on a busy machine.
 CALIBRATION_TIMEOUT_S = 300.0
 
+# The longest wait for a child that loads what it works with, where no longer one is asked for: imports take seconds,
+# and on a busy machine more.
+START_TIMEOUT_S = 120.0
+
 
 class ChildProblemError(Exception):
     """A run cannot go on.
@@ -35,7 +39,7 @@ class Child:
     """A tracker's process. Use it as a context manager: it is gone afterwards, whatever happened.
 
     Args:
-        timeout_s: The longest silence that is waited for.
+        timeout_s: The longest silence that is waited for, once it has said that it is ready.
         module: What it runs.
         environment: What its environment has besides, or otherwise than, this process's.
 
@@ -85,9 +89,20 @@ class Child:
         Raises:
             ChildProblemError: It reports a problem, ended, or said nothing for too long.
         """
+        return self._receive(self.timeout_s)
+
+    def ready(self) -> tuple[Any, ...]:
+        """The same, of a message that comes once the child has loaded what it works with.
+
+        Raises:
+            ChildProblemError: As in :meth:`receive`.
+        """
+        return self._receive(max(self.timeout_s, START_TIMEOUT_S))
+
+    def _receive(self, patience_s: float) -> tuple[Any, ...]:
         try:
-            if not self._connection.poll(self.timeout_s):
-                raise ChildProblemError("timeout", f"no answer within {self.timeout_s:g} s")
+            if not self._connection.poll(patience_s):
+                raise ChildProblemError("timeout", f"no answer within {patience_s:g} s")
             message: tuple[Any, ...] = self._connection.recv()
         except (EOFError, OSError):
             code = self._process.wait()
@@ -103,10 +118,6 @@ class Child:
         Raises:
             ChildProblemError: As in :meth:`receive`; what the child was to do itself cannot be told any more.
         """
-        timeout_s, self.timeout_s = self.timeout_s, CALIBRATION_TIMEOUT_S
-        try:
-            self.send(*CALIBRATE)
-            times: list[float] = self.receive()[1]
-        finally:
-            self.timeout_s = timeout_s
+        self.send(*CALIBRATE)
+        times: list[float] = self._receive(CALIBRATION_TIMEOUT_S)[1]
         return times

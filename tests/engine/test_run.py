@@ -7,17 +7,17 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from commandline import RUN, STRANGERS, records, surgbench
+from commandline import AMPLE_S, RUN, STRANGERS, kill_before, records, surgbench, wait_until
 
 from surgbench.dataset.open import open_as
 from surgbench.generators.generate import generate, plan_dataset
 from surgbench.generators.presets import load_preset
+from surgbench.processes.child import Child, ChildProblemError
 from surgbench.suite.claim import claim
 from surgbench.tasks.instrument.dataset import InstrumentDataset
 from surgbench.tasks.instrument.records import InstrumentFrames, InstrumentRecord
@@ -151,6 +151,14 @@ def test_a_hanging_tracker_is_given_up(dataset: Path, tmp_path: Path) -> None:
     assert [record["status"] for record in records(tmp_path)] == ["timeout", "timeout"]
 
 
+def test_a_childs_start_is_waited_for_longer_than_an_answer() -> None:
+    with Child(1e-3, "surgbench.conformance.worker") as child:
+        child.send("ready")
+        assert child.ready() == ("ready",)
+        with pytest.raises(ChildProblemError, match=r"^no answer within 0\.001 s$"):
+            child.receive()
+
+
 def test_recorded_runs_are_not_run_again_and_failed_ones_are(
     dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -187,22 +195,11 @@ def test_rows_do_not_depend_on_jobs_order_or_company(dataset: Path, tmp_path: Pa
 
 
 def test_killed_in_the_middle_then_resumed_gives_the_same_rows(dataset: Path, tmp_path: Path) -> None:
-    """kill -9 after the first record, then the same command: equal but for times and machine."""
+    """kill -9 while the second record is written, then the same command: equal but for times and machine."""
     arguments = [*RUN, "--dataset", str(dataset), "--tracker", "cmaes", "--repeats", "3"]
     killed, whole = tmp_path / "killed", tmp_path / "whole"
-    environment = {**os.environ}
-    process = subprocess.Popen(
-        [sys.executable, "-c", "from surgbench.cli import main; main()", *arguments, "--out", str(killed)],
-        env=environment,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
-    deadline = time.monotonic() + 120
-    while not list(killed.rglob("*-r*.json")) and time.monotonic() < deadline:
-        time.sleep(0.02)
-    process.send_signal(signal.SIGKILL)
-    process.wait()
-    assert 0 < len(records(killed)) < 6
+    kill_before("*-r*.json", 2, *arguments, "--out", killed)
+    assert len(records(killed)) == 1
     surgbench(*arguments, "--out", killed)
     surgbench(*arguments, "--out", whole)
     assert len(records(whole)) == 6
@@ -435,25 +432,19 @@ def workers(mark: str) -> set[int]:
 
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGINT])
 def test_no_tracker_outlives_an_interrupted_run(dataset: Path, tmp_path: Path, how: signal.Signals) -> None:
-    mark = str(tmp_path)
-    arguments = command(*RUN, "--dataset", dataset, "--tracker", f"{STRANGERS}:Spins", "--out", tmp_path)
-    process = subprocess.Popen(
-        arguments, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True, env={**os.environ, "MARK": mark}
-    )
-    deadline = time.monotonic() + 60
-    while not workers(mark) and time.monotonic() < deadline:
-        time.sleep(0.05)
+    mark, flag = str(tmp_path), tmp_path / "flag"
+    arguments = command(*RUN, "--dataset", dataset, "--tracker", f"{STRANGERS}:Spins", "--out", tmp_path / "runs")
+    environment = {**os.environ, "MARK": mark, "SURGBENCH_TEST_FLAG": str(flag)}
+    process = subprocess.Popen(arguments, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True, env=environment)
+    wait_until(lambda: flag.exists() or process.poll() is not None)
     assert workers(mark)
-    time.sleep(2.0)
     process.send_signal(how)
-    complaint = process.communicate(timeout=30)[1]
+    complaint = process.communicate(timeout=AMPLE_S)[1]
     if how == signal.SIGINT:
         assert process.returncode == 130
         assert complaint.splitlines()[-1] == "surgbench: interrupted; the same command again goes on from here"
         assert "Traceback" not in complaint
-    while workers(mark) and time.monotonic() < deadline:
-        time.sleep(0.05)
-    assert not workers(mark)
+    wait_until(lambda: not workers(mark))
 
 
 def test_a_folder_that_cannot_be_written_is_noticed_before_the_work(

@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-import os
-import signal
-import subprocess
-import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
-from commandline import surgbench
+from commandline import kill_before, surgbench
 
 from surgbench.dataset.open import open_as
 from surgbench.dataset.validate import validate
@@ -420,13 +415,8 @@ def test_killed_and_started_again_as_a_user_does(tmp_path: Path, capsys: pytest.
     text = "task: viewpoint\nname: few\ntrials: 25\nsamples: 200\nlevel: custom\nshare: [0, 1]\n"
     (tmp_path / "preset.yaml").write_text(text)
     out = tmp_path / "out"
-    command = [sys.executable, "-c", "import surgbench.cli; surgbench.cli.main()", "generate"]
-    process = subprocess.Popen([*command, str(tmp_path / "preset.yaml"), "--out", str(out), "--jobs", "1"])
-    deadline = time.monotonic() + 60
-    while len(list(out.rglob("scene.json"))) < 3 and time.monotonic() < deadline and process.poll() is None:
-        time.sleep(0.005)
-    os.kill(process.pid, signal.SIGKILL)
-    process.wait()
+    kill_before("scene.json", 4, "generate", tmp_path / "preset.yaml", "--out", out, "--jobs", 1)
+    assert len(list(out.rglob("scene.json"))) == 3
     assert not (out / "dataset.json").exists()
     with pytest.raises(DatasetError, match="not complete; run the same"):
         open_as(ViewpointDataset, out)

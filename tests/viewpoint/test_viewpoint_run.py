@@ -11,14 +11,17 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from commandline import STRANGERS, records, surgbench
+from commandline import AMPLE_S, STRANGERS, records, surgbench
 
 from surgbench.dataset.open import open_dataset
+from surgbench.processes.child import Child
 from surgbench.report.field import keys
 from surgbench.report.rows import read_rows
+from surgbench.suite import running
 from surgbench.tasks.viewpoint.dataset import ViewpointDataset
 from surgbench.tasks.viewpoint.records import ViewpointFrames, ViewpointRecord
 from surgbench.tasks.viewpoint.rows import VIEWPOINT_COLUMNS
+from surgbench.tasks.viewpoint.worker import ViewpointSetup
 from surgbench.viewpoint.scores import NO_GO_TOLERANCE_M, naive_violations
 from surgbench.viewpoint.simulator import make_scene
 
@@ -148,6 +151,15 @@ def test_registration_and_the_missing_face_are_settings(dataset: Path, runs: Pat
     assert rigid["pf_true_deg"] < published["pf_true_deg"]
 
 
+class PatientChild(Child):
+    """Waits as long as it is told to for the controller that hangs, and for the others as long as they take."""
+
+    def send(self, *message: Any) -> None:
+        if isinstance(message[0], ViewpointSetup) and message[0].tracker.name != "dozing":
+            self.timeout_s = AMPLE_S
+        super().send(*message)
+
+
 @pytest.mark.parametrize(
     ("name", "status", "message", "steps"),
     [
@@ -157,8 +169,9 @@ def test_registration_and_the_missing_face_are_settings(dataset: Path, runs: Pat
     ],
 )
 def test_a_controller_that_goes_wrong_costs_its_own_row(
-    dataset: Path, tmp_path: Path, name: str, status: str, message: str, steps: int
+    dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, status: str, message: str, steps: int
 ) -> None:
+    monkeypatch.setattr(running, "Child", PatientChild)
     surgbench(
         *("run", "--dataset", dataset, "--tracker", f"{STRANGERS}:{name}", "--tracker", f"{STRANGERS}:Watching"),
         *("--sequences", 1, "--timeout", 5, "--out", tmp_path),
