@@ -7,12 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import assume, given, settings
-from hypothesis import strategies as st
-from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt
-from support import resting_state, rigid_instrument
-from test_silhouette import (
+from bodies import (
     BODIES,
     DEGENERATE,
     assert_counts_belong_to_mask,
@@ -22,6 +17,11 @@ from test_silhouette import (
     two_arm_states,
     zigzag,
 )
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
+from support import resting_state, rigid_instrument
 
 from surgbench.camera import NEAR_M, Camera
 from surgbench.geometry import FloatArray, look_at_angles, look_at_rotation
