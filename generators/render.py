@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from surgbench.camera import NEAR_M, Camera
 from surgbench.dataset.masks import Mask
-from surgbench.depth_scene import VARIANT, add_part, depth_view, load_mitsuba
 from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument
+from surgbench.rendering.depth import VARIANT, add_part, depth_view, load_mitsuba
 from surgbench.state import split_arms
 
 BOX_MARGIN_PX = 2

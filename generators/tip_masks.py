@@ -1,7 +1,7 @@
 """Masks with known tips, to train keypoint detectors on: the hypothesis space of Liang et al., corrupted.
 
-Poses are those of :mod:`surgbench.hypotheses`, the wrist anywhere in the image. Every mask has its own stream of random
-numbers, so that it does not depend on which others are made. Masks are painted by the engine's silhouettes, which give
+Poses are those of :mod:`surgbench.search.hypotheses`, the wrist anywhere in the image. Every mask has its own stream of
+random numbers, so that it does not depend on which others are made. Masks are painted by the engine's silhouettes, which give
 the same pixels as the renderer of datasets (``tests/silhouette/test_silhouette.py``) without Mitsuba.
 """
 
@@ -25,11 +25,11 @@ from surgbench.generators.mismatch import real_instrument
 from surgbench.generators.presets import CORRUPTION_LEVELS, PAPER_CAMERA, Corruption, Morphology
 from surgbench.generators.sections import Fraction, Mismatch
 from surgbench.geometry import FloatArray
-from surgbench.hypotheses import hypothesis_states
 from surgbench.instrument import Instrument, load_instrument
 from surgbench.instrument.spec import LinkPoint
 from surgbench.keypoints.labelled import LabelledMask
 from surgbench.randomness import generator
+from surgbench.search.hypotheses import hypothesis_states
 from surgbench.silhouette import Reference, SilhouetteEvaluator
 
 # That of Liang et al.'s recordings (arXiv:2503.05953), with the principal point far to the left.

@@ -9,8 +9,8 @@ import numpy as np
 from surgbench.contract import Scene
 from surgbench.errors import SurgbenchError
 from surgbench.geometry import FloatArray
-from surgbench.mitsuba_backends import cuda_problem, llvm_problem
 from surgbench.objective import Objective
+from surgbench.rendering.backends import cuda_problem, llvm_problem
 from surgbench.search.descent import Descent, DescentConfig, DescentTracker
 from surgbench.trackers.optimisers.adam import Adam
 from surgbench.trackers.optimisers.projective import ProjectiveObjective

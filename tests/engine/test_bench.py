@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 from support import resting_state
 from typer.testing import CliRunner
 
-from surgbench import mitsuba_backends
 from surgbench.camera import Camera
 from surgbench.cli import app
 from surgbench.comparison import silhouettes
@@ -26,6 +25,7 @@ from surgbench.comparison.workload import TRUE_STATE, silhouette_workload
 from surgbench.errors import ConfigError
 from surgbench.geometry import FloatArray
 from surgbench.instrument import load_instrument
+from surgbench.rendering import backends as mitsuba_backends
 from surgbench.silhouette import Reference, SilhouetteEvaluator
 
 BASE_INSTALL = {"scanline", "opencv", "mitsuba-scalar"}

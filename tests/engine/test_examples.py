@@ -53,7 +53,7 @@ WITH_EXAMPLE = (
     "surgbench.geometry.rotation_from_vector",
     "surgbench.geometry.rotation_vector",
     "surgbench.geometry.wrap_angle",
-    "surgbench.hypotheses.hypothesis_states",
+    "surgbench.search.hypotheses.hypothesis_states",
     "surgbench.instrument.Instrument.link_transforms",
     "surgbench.instrument.Instrument.points_cam",
     "surgbench.instrument.Instrument.tips_cam",

@@ -15,12 +15,12 @@ import numpy as np
 import pytest
 from support import observe, resting_state, scene_of
 
-from surgbench import mitsuba_backends
 from surgbench.camera import Camera
 from surgbench.contract import InstrumentTracker, Observation, Scene, Trace
 from surgbench.errors import SurgbenchError
 from surgbench.geometry import FloatArray
 from surgbench.objective import LossWeights, Objective
+from surgbench.rendering import backends as mitsuba_backends
 from surgbench.trackers.adam import AdamTracker
 from surgbench.trackers.adam_mitsuba import AdamMitsubaTracker
 from surgbench.trackers.cmaes import CmaesTracker

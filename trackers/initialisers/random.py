@@ -1,6 +1,6 @@
 """Find the first state without a hint: random pose hypotheses, ranked, the best of them refined.
 
-The hypothesis space is that of Liang et al. (:mod:`surgbench.hypotheses`). They reach the
+The hypothesis space is that of Liang et al. (:mod:`surgbench.search.hypotheses`). They reach the
 position in the image by gradient; here the wrist is placed over a random pixel of the mask instead.
 """
 
@@ -14,7 +14,7 @@ from pydantic import Field
 
 from surgbench.contract import Observation, Plugin, Scene
 from surgbench.geometry import FloatArray
-from surgbench.hypotheses import DISTANCE_M, ELEVATION_DEG, hypothesis_states
+from surgbench.search.hypotheses import DISTANCE_M, ELEVATION_DEG, hypothesis_states
 from surgbench.state import JointLimits
 from surgbench.trackers.initialisers.arms import initialise_each_arm
 from surgbench.trackers.initialisers.refinement import Count, RefinementConfig, Scorer, draw_joints, finish

@@ -17,8 +17,8 @@ from pydantic import Field
 from surgbench.contract import Observation, Plugin, Scene
 from surgbench.errors import ConfigError
 from surgbench.geometry import FloatArray
-from surgbench.hypotheses import DISTANCE_M, ELEVATION_DEG, hypothesis_states
 from surgbench.metrics import rotation_error
+from surgbench.search.hypotheses import DISTANCE_M, ELEVATION_DEG, hypothesis_states
 from surgbench.state import ANGLES, POSITION, STATE_SCALE, STATE_SIZE, StateSpace
 from surgbench.trackers.initialisers.arms import initialise_each_arm
 from surgbench.trackers.initialisers.refinement import WIDE, Count, RefinementConfig, Scorer, finish

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 from surgbench.camera import Camera
 from surgbench.contract import Scene
-from surgbench.depth_scene import depth_view
 from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument
 from surgbench.instrument.model import LinkMesh
 from surgbench.objective import LossWeights, Objective
+from surgbench.rendering.depth import depth_view
 from surgbench.state import STATE_SIZE, split_arms
 
 # Of the central differences of the forward kinematics, radians and metres.
@@ -47,7 +47,7 @@ class ProjectiveSilhouette:
             for arm, instrument in enumerate(instruments)
             for name, mesh in instrument.meshes.items()
         ]
-        # The sensor has one focal length (surgbench.depth_scene).
+        # The sensor has one focal length (surgbench.rendering.depth).
         self._squeeze = np.array([1.0, camera.fy / camera.fx, 1.0])
         mi = self._mitsuba()
         self._scene = mi.load_dict(self._describe(mi, camera))

@@ -11,10 +11,10 @@ from surgbench.camera import NEAR_M, Camera
 from surgbench.comparison.peers.base import Peer
 from surgbench.comparison.peers.body import Body
 from surgbench.contract import Mask
-from surgbench.depth_scene import add_part, depth_view
 from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument
-from surgbench.mitsuba_backends import llvm_problem
+from surgbench.rendering.backends import llvm_problem
+from surgbench.rendering.depth import add_part, depth_view
 
 
 class _Mitsuba(Peer):

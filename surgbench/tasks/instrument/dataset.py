@@ -38,7 +38,7 @@ from surgbench.tasks.instrument.tables import (
 
 
 @dataclass(frozen=True)
-class Unit:
+class InstrumentUnit:
     """What one run of a tracker is about: one arm of a sequence, or its pair.
 
     Attributes:
@@ -279,7 +279,7 @@ class InstrumentDataset(Dataset[InstrumentManifest]):
     def _instruments(self) -> dict[str, Instrument]:
         return {}
 
-    def units(self, arms: Literal["single", "dual"] = "single") -> tuple[Unit, ...]:
+    def units(self, arms: Literal["single", "dual"] = "single") -> tuple[InstrumentUnit, ...]:
         """What a tracker runs on, in order.
 
         Args:
@@ -289,15 +289,15 @@ class InstrumentDataset(Dataset[InstrumentManifest]):
         Raises:
             DatasetError: Nothing in the dataset can be run that way.
         """
-        units: list[Unit] = []
+        units: list[InstrumentUnit] = []
         for sequence in self.sequences:
             entry = sequence.entry
             if arms == "dual" and len(entry.arms) == 2 and "both" in entry.kinds:
-                units.append(Unit(entry.id, entry.id, entry.arms, "both"))
+                units.append(InstrumentUnit(entry.id, entry.id, entry.arms, "both"))
             elif arms == "single":
                 alone = [arm for arm in entry.arms if arm in entry.kinds]
                 units += [
-                    Unit(entry.id if len(entry.arms) == 1 else f"{entry.id}-{arm}", entry.id, (arm,), arm)
+                    InstrumentUnit(entry.id if len(entry.arms) == 1 else f"{entry.id}-{arm}", entry.id, (arm,), arm)
                     for arm in alone
                 ]
         if not units:

@@ -15,7 +15,7 @@ from surgbench.silhouette import Reference, SilhouetteEvaluator
 from surgbench.state import POSITION, STATE_SIZE
 from surgbench.suite.running import Run
 from surgbench.suite.settings import Job, Plug
-from surgbench.tasks.instrument.dataset import InstrumentDataset, Unit
+from surgbench.tasks.instrument.dataset import InstrumentDataset, InstrumentUnit
 from surgbench.tasks.instrument.plan import InstrumentSettings
 from surgbench.tasks.instrument.records import ANSWER_COLUMNS
 from surgbench.tasks.instrument.units import UnitData
@@ -32,7 +32,7 @@ def own_settings(job: Job) -> InstrumentSettings:
 
 def unit_data(job: Job, dataset: InstrumentDataset) -> UnitData:
     """The frames of a job's unit."""
-    assert isinstance(job.unit, Unit)
+    assert isinstance(job.unit, InstrumentUnit)
     return UnitData(dataset, job.unit, own_settings(job).readings, own_settings(job).view)
 
 

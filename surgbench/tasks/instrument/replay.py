@@ -12,7 +12,7 @@ from surgbench.suite.asked import Conditions
 from surgbench.suite.plan import complete
 from surgbench.suite.settings import Job
 from surgbench.tasks.instrument.asked import InstrumentRow
-from surgbench.tasks.instrument.dataset import InstrumentDataset, Unit
+from surgbench.tasks.instrument.dataset import InstrumentDataset, InstrumentUnit
 from surgbench.tasks.instrument.execute import child_setup, true_states, unit_data
 from surgbench.tasks.instrument.worker import Loop
 
@@ -75,6 +75,6 @@ def _job(record: dict[str, Any], dataset: InstrumentDataset) -> Job:
         frames=spec.get("frames_limit"),
     )
     conditions = Conditions(seed=spec["seed"], device=spec.get("device", "cpu"))
-    unit = Unit(spec["unit"], spec["sequence"], tuple(spec["arms"]), spec["mask_kind"])
+    unit = InstrumentUnit(spec["unit"], spec["sequence"], tuple(spec["arms"]), spec["mask_kind"])
     frames, everything = record["unit_frames"], record.get("dataset_frames", 0)
     return Job(complete(row, conditions, dataset), dataset.name, dataset.hash, unit, frames, everything, spec["repeat"])

@@ -12,7 +12,7 @@ from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument
 from surgbench.state import STATE_SIZE
 from surgbench.tasks.instrument.asked import Readings
-from surgbench.tasks.instrument.dataset import InstrumentDataset, Sequence, Unit
+from surgbench.tasks.instrument.dataset import InstrumentDataset, InstrumentUnit, Sequence
 
 
 class UnitData:
@@ -25,7 +25,9 @@ class UnitData:
         view: Auxiliary view that observations hold besides the endoscope's.
     """
 
-    def __init__(self, dataset: InstrumentDataset, unit: Unit, readings: Readings, view: str | None = None) -> None:
+    def __init__(
+        self, dataset: InstrumentDataset, unit: InstrumentUnit, readings: Readings, view: str | None = None
+    ) -> None:
         self.unit = unit
         self.sequence: Sequence = dataset.sequence(unit.sequence)
         self.camera = self.sequence.camera

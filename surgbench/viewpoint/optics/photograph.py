@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surgbench.camera import NEAR_M, Camera
-from surgbench.depth_scene import VARIANT, depth_view, load_mitsuba
 from surgbench.geometry import FloatArray
+from surgbench.rendering.depth import VARIANT, depth_view, load_mitsuba
 from surgbench.viewpoint.optics.grasp_object import Panel, Solid, Subject
 
 OVERSAMPLE = 2

@@ -44,7 +44,7 @@ def hypothesis_states(
 
         >>> import numpy as np
         >>> from surgbench.camera import Camera
-        >>> from surgbench.hypotheses import hypothesis_states
+        >>> from surgbench.search.hypotheses import hypothesis_states
         >>> camera = Camera(width=160, height=120, fx=200, fy=200, cx=80, cy=60)
         >>> none, lean, far = np.zeros(1), np.array([np.pi / 4]), np.array([0.13])
         >>> states = hypothesis_states(camera, none, lean, none, far, ([80], [60]), np.array([[0.1, 0.2, 0.3]]))

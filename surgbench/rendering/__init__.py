@@ -1,0 +1,1 @@
+"""What renders: which of Mitsuba's backends load, and depth by rays."""
