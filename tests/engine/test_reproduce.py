@@ -110,6 +110,7 @@ def test_a_blocks_keypoints_are_its_rows_unless_they_name_others(tmp_path: Path,
     assert [row.asked(quick=False).model_dump()["keypoints"] for _, row in rows] == ["corners", "observed"]
 
 
+@pytest.mark.extras  # with and without the figure
 def test_every_file_is_there_and_fits(made: Path, definition: Definition, results: Results) -> None:
     folder = made / "results" / "tiny"
     found = {path.name for path in folder.iterdir()}

@@ -525,6 +525,7 @@ def pymeshlab_problem() -> str:
 PROBLEM = pymeshlab_problem()
 
 
+@pytest.mark.extras
 @pytest.mark.skipif(bool(PROBLEM), reason=PROBLEM)
 def test_holes_are_closed(tmp_path: Path) -> None:
     whole = trimesh.creation.icosphere(subdivisions=2, radius=0.005)
@@ -533,6 +534,7 @@ def test_holes_are_closed(tmp_path: Path) -> None:
     assert signed_volume(mesh.vertices_m, mesh.faces) == pytest.approx(whole.volume, rel=0.02)
 
 
+@pytest.mark.extras
 @pytest.mark.skipif(bool(PROBLEM), reason=PROBLEM)
 def test_parts_that_touch_along_an_edge_are_set_apart(tmp_path: Path) -> None:
     first, second = trimesh.creation.box([0.01] * 3), trimesh.creation.box([0.01] * 3)
@@ -546,6 +548,7 @@ def test_parts_that_touch_along_an_edge_are_set_apart(tmp_path: Path) -> None:
     assert signed_volume(mesh.vertices_m, mesh.faces) == pytest.approx(2e-6, rel=1e-4)
 
 
+@pytest.mark.extras
 @pytest.mark.skipif(bool(PROBLEM), reason=PROBLEM)
 def test_triangles_are_reduced(tmp_path: Path) -> None:
     ball = trimesh.creation.icosphere(subdivisions=4, radius=0.005)

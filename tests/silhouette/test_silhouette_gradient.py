@@ -19,6 +19,7 @@ from bodies import (
 )
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from scipy.spatial import KDTree
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 from support import resting_state, rigid_instrument
@@ -382,7 +383,7 @@ def outline(mask: NDArray[np.bool_]) -> FloatArray:
 
 
 def distances_to(places: FloatArray, points: FloatArray) -> FloatArray:
-    return np.asarray(np.linalg.norm(places[:, None] - points[None], axis=2).min(axis=1))
+    return np.asarray(KDTree(points).query(places)[0])
 
 
 @pytest.mark.parametrize("name", STATES)

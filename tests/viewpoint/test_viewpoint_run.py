@@ -260,6 +260,7 @@ def test_quick_tables_are_short(made: Path) -> None:
     assert "| Gaze | `gaze` | 60 |" in page
 
 
+@pytest.mark.extras
 def test_figures_are_drawn_where_matplotlib_is(made: Path) -> None:
     pytest.importorskip("matplotlib")
     folder = made / "results" / "tiny"
