@@ -1,14 +1,19 @@
-"""From a preset to the plan of its dataset, by the generator that makes such presets."""
+"""From a preset to the plan of its dataset, by the generator that makes such presets.
+
+A preset says which one with ``generator``: a name, or ``FILE.py:Class`` relative to the preset file. Else it is the one
+generator of its ``task``, the default task unless told.
+"""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 from surgbench.config import locate, read_yaml
-from surgbench.errors import ConfigError
+from surgbench.errors import ConfigError, SurgbenchError
 from surgbench.generation import GenerationPlan, GenerationRequest
-from surgbench.registry import Found, create, discover, find
-from surgbench.task import default_task
+from surgbench.registry import Found, create, default_task_name, discover, find
+from surgbench.task import find_task
 
 
 def plan_preset(name_or_path: str | Path, request: GenerationRequest = GenerationRequest()) -> GenerationPlan:  # noqa: B008
@@ -19,21 +24,37 @@ def plan_preset(name_or_path: str | Path, request: GenerationRequest = Generatio
         request: What is put over it.
 
     Raises:
-        NotFoundError: No built-in preset has this name, or no generator the one that the preset names.
+        NotFoundError: No built-in preset has this name, or no generator or task the one that the preset names.
         ConfigError: The file is missing or wrong, or an option has a value that will not do; one line.
     """
     path = locate("presets", "preset", name_or_path)
     content = read_yaml(path, "preset")
-    named = content.get("generator")
-    found = _of_task(str(content.get("task", default_task().name)), path) if named is None else find("generator", named)
-    plan: GenerationPlan = create(found, {}).plan(path, request)
+    try:
+        generator = create(_generator(content, path.parent), {})
+    except SurgbenchError as error:
+        raise type(error)(f"{path}: {error}") from None
+    plan: GenerationPlan = generator.plan(path, request)
     return plan
 
 
-def _of_task(task: str, path: Path) -> Found:
+def _generator(preset: dict[str, Any], folder: Path) -> Found:
+    """The one that a preset names, or the one of its task."""
+    if "generator" not in preset:
+        return _of_task(str(preset.get("task", default_task_name())))
+    named = preset["generator"]
+    if not isinstance(named, str):
+        raise ConfigError(f"'generator': must be a name or FILE.py:Class, not {named!r}")
+    return find("generator", str(folder / named) if ".py" in named else named)
+
+
+def _of_task(task: str) -> Found:
     """The one generator of a task's presets."""
-    fitting = [found for found in discover("generator").values() if found.cls is not None and found.task == task]
-    if len(fitting) != 1:
-        names = ", ".join(found.name for found in fitting) or "none"
-        raise ConfigError(f"{path}: say which 'generator' makes it; those of the {task} task: {names}")
-    return fitting[0]
+    find_task(task)
+    every = discover("generator").values()
+    fitting = [found.name for found in every if found.cls is not None and found.task == task]
+    if len(fitting) == 1:
+        return find("generator", fitting[0])
+    # One of those may be the one that is missed.
+    broken = "".join(f"; '{found.name}' cannot be loaded: {found.problem}" for found in every if found.cls is None)
+    names = ", ".join(sorted(fitting)) or "none"
+    raise ConfigError(f"say which 'generator' makes it; those of the {task} task: {names}{broken}")

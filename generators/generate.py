@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ctypes
 import hashlib
-import os
 import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -13,15 +12,13 @@ from typing import Any
 
 import yaml
 
-from surgbench import __version__
 from surgbench.camera import Camera
 from surgbench.camera.change_of_view import ChangeOfView
 from surgbench.dataset import tables
 from surgbench.dataset.manifest import FORMAT, observations_path
-from surgbench.dataset.masks import PNG_END, Mask, encode_mask
-from surgbench.dataset.storage import describe_files
+from surgbench.dataset.masks import Mask, encode_mask
+from surgbench.dataset.writer import DatasetWriter, collect
 from surgbench.errors import ConfigError, unknown_name
-from surgbench.files import write_atomic
 from surgbench.generators.auxiliary import AUXILIARY_CAMERA, ViewTables, camera_of
 from surgbench.generators.corruption import corrupt
 from surgbench.generators.lens import Lens
@@ -29,7 +26,7 @@ from surgbench.generators.mismatch import NO_MISMATCH, real_camera, real_instrum
 from surgbench.generators.presets import Corruption, Preset
 from surgbench.generators.render import MaskRenderer
 from surgbench.generators.resumable import (
-    MANIFEST_BYTES_PER_FILE,
+    LISTED_BYTES_PER_FILE,
     blocks,
     configuration,
     ctrl_c_raises,
@@ -59,12 +56,14 @@ from surgbench.tasks.instrument.format import (
     states_path,
     view_folder,
 )
+from surgbench.version import __version__
 
 __all__ = ["Part", "Plan", "generate", "plan_dataset"]
 
 CAMERA_NAME = "endoscope"
 KINDS: tuple[MaskKind, ...] = ("left", "right", "both")
 CHUNK_FRAMES = 20
+INSTRUMENTS = "instruments"
 # Of a 1-bit mask's pixels, how many bytes the PNG takes at most, measured with room to spare.
 MASK_BYTES_PER_PIXEL = 0.01
 TABLE_BYTES_PER_FRAME = 500
@@ -128,6 +127,14 @@ class Plan:
         return [*self.instrument_files, *(path for entry in self.sequences for path in sequence_files(entry))]
 
     @property
+    def parts(self) -> Iterator[str]:
+        """Those that are written separately: the instruments, each sequence's tables, and each chunk of its frames."""
+        yield INSTRUMENTS
+        for entry in self.sequences:
+            yield entry.id
+            yield from (_chunk_part(entry.id, start) for start in range(0, entry.frames, CHUNK_FRAMES))
+
+    @property
     def disk_bytes(self) -> int:
         """Disk that the whole dataset takes, an upper estimate."""
         camera, auxiliary = self.preset.camera, self.preset.auxiliary
@@ -138,12 +145,11 @@ class Plan:
             mask += blocks(pixels * MASK_BYTES_PER_PIXEL) * 2 * len(ARMS) * views
             numbers += TABLE_BYTES_PER_FRAME * views
         files = len(self.paths)
-        return int(self.frames * (mask + numbers) + blocks(files * MANIFEST_BYTES_PER_FILE))
+        return int(self.frames * (mask + numbers) + blocks(files * LISTED_BYTES_PER_FILE))
 
     def write(self, out: Path, jobs: int, progress: Callable[[float], None]) -> InstrumentManifest:
         """Write everything but the manifest; see :class:`surgbench.generators.resumable.Job`."""
-        for path, data in self.instrument_files.items():
-            write_atomic(out / path, data)
+        DatasetWriter(out, INSTRUMENTS).write(self.instrument.name, self.instrument_files)
         return _manifest(self, out, _render_all(self, out, jobs, progress))
 
 
@@ -282,12 +288,12 @@ def _write_tables(
     # Of the whole sequence, also where a part of it is made: what moves or errs slowly depends on its length.
     whole = entry.model_copy(update={"frames": plan.preset.frames})
     made = make_tables(plan.preset, whole, plan.real_instrument, plan.real_camera).first(entry.frames)
-    write_atomic(out / observations_path(entry.id), tables.encode_table(made.observed))
-    write_atomic(out / states_path(entry.id), tables.encode_table(made.truth))
+    contents = {observations_path(entry.id): made.observed, states_path(entry.id): made.truth}
     for name, view in made.views.items():
         folder = view_folder(entry.id, name)
-        write_atomic(out / observations_path(folder), tables.encode_table(view.observed))
-        write_atomic(out / poses_path(folder), tables.encode_table(view.truth))
+        contents |= {observations_path(folder): view.observed, poses_path(folder): view.truth}
+    files = {path: tables.encode_table(columns) for path, columns in contents.items()}
+    DatasetWriter(out, entry.id).write("tables", files)
     return entry.model_copy(update={"T_cam_base": made.T_cam_base}), made.states, made.views
 
 
@@ -314,50 +320,47 @@ class _Worker:
 
     def render(self, chunk: Chunk, progress: Callable[[float], None] = lambda frames: None) -> int:
         """Write a chunk's masks, those that are not there; returns its number of frames."""
+        sequence = chunk.entry.id
+        writer = DatasetWriter(self.out, _chunk_part(sequence, chunk.start))
         for offset, states in enumerate(chunk.states):
             if self._stop is not None and self._stop.value:
                 return offset
-            self._frame(chunk.entry.id, chunk.start + offset, states)
-            for (view, arm), poses in chunk.views.items():
-                own = ChangeOfView(poses[offset]).states(states[ARMS.index(arm)])
-                self._auxiliary_frame(chunk.entry.id, view, chunk.start + offset, arm, own)
+            frame = chunk.start + offset
+            if writer.done(str(frame)) is None:
+                files = self._frame(sequence, frame, states)
+                for (view, arm), poses in chunk.views.items():
+                    own = ChangeOfView(poses[offset]).states(states[ARMS.index(arm)])
+                    files |= self._auxiliary_frame(sequence, view, frame, arm, own)
+                writer.write(str(frame), files)
             progress(1)
         return len(chunk.states)
 
-    def _frame(self, sequence: str, frame: int, states: FloatArray) -> None:
-        paths = {kind: (clean_mask_path(sequence, kind, frame), observed_path(sequence, kind, frame)) for kind in KINDS}
-        if all(_is_whole_png(self.out / path) for pair in paths.values() for path in pair):
-            return
+    def _frame(self, sequence: str, frame: int, states: FloatArray) -> dict[str, bytes]:
         masks: dict[str, Mask] = {
             arm: self._lens.see(self._renderers[arm].mask(states[index])) for index, arm in enumerate(ARMS)
         }
         # A ray meets one of the two if it meets either, so that the union needs no rendering of its own.
         masks["both"] = masks["left"] | masks["right"]
-        for kind, (clean, observed) in paths.items():
+        files: dict[str, bytes] = {}
+        for kind in KINDS:
             rng = generator(dataset=self.seed, sequence=sequence, frame=frame, kind=kind, purpose="corruption")
-            write_atomic(self.out / clean, encode_mask(masks[kind]))
-            write_atomic(self.out / observed, encode_mask(corrupt(masks[kind], self.settings, rng)))
+            files[clean_mask_path(sequence, kind, frame)] = encode_mask(masks[kind])
+            files[observed_path(sequence, kind, frame)] = encode_mask(corrupt(masks[kind], self.settings, rng))
+        return files
 
-    def _auxiliary_frame(self, sequence: str, view: str, frame: int, arm: Arm, state: FloatArray) -> None:
-        folder = view_folder(sequence, view)
-        clean, observed = self.out / clean_mask_path(folder, arm, frame), self.out / observed_path(folder, arm, frame)
-        if _is_whole_png(clean) and _is_whole_png(observed):
-            return
+    def _auxiliary_frame(self, sequence: str, view: str, frame: int, arm: Arm, state: FloatArray) -> dict[str, bytes]:
         mask = self._auxiliary[0].mask(state)
+        folder = view_folder(sequence, view)
         axes: dict[str, str | int] = {"sequence": sequence, "view": view, "frame": frame, "kind": arm}
         rng = generator(dataset=self.seed, **axes, purpose="corruption")
-        write_atomic(clean, encode_mask(mask))
-        write_atomic(observed, encode_mask(corrupt(mask, self.settings, rng)))
+        return {
+            clean_mask_path(folder, arm, frame): encode_mask(mask),
+            observed_path(folder, arm, frame): encode_mask(corrupt(mask, self.settings, rng)),
+        }
 
 
-def _is_whole_png(path: Path) -> bool:
-    """Whether the file ends as a PNG does: after a power cut a file may be there and empty."""
-    try:
-        with path.open("rb") as file:
-            file.seek(-len(PNG_END), os.SEEK_END)
-            return file.read() == PNG_END
-    except OSError:
-        return False
+def _chunk_part(sequence: str, start: int) -> str:
+    return f"{sequence}-{start:06d}"
 
 
 _worker: _Worker | None = None
@@ -393,5 +396,5 @@ def _manifest(plan: Plan, out: Path, sequences: list[SequenceEntry]) -> Instrume
         cameras={CAMERA_NAME: plan.preset.camera, **camera_of(plan.preset)},
         instruments={name: f"{instrument_folder(name)}/instrument.yaml"},
         sequences=tuple(sequences),
-        files=describe_files(out, plan.paths),
+        files=collect(out, plan.parts, plan.paths),
     )

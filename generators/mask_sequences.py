@@ -19,7 +19,12 @@ class MaskSequences(Plugin):
     task: ClassVar[str] = "instrument"
 
     def plan(self, preset: Path, request: GenerationRequest) -> GenerationPlan:
-        """What a preset makes; errors as those of :func:`surgbench.generators.presets.load_preset`."""
+        """What a preset makes.
+
+        Raises:
+            SurgbenchError: As :func:`~surgbench.generators.presets.load_preset` and
+                :func:`~surgbench.generators.generate.plan_dataset`; one line.
+        """
         loaded = load_preset(
             preset,
             pairs=request.sequences,

@@ -1,4 +1,8 @@
-"""Making a dataset so that it can be interrupted anywhere, and finished by the same command: for any task."""
+"""Making a dataset so that it can be interrupted anywhere, and finished by the same command: for any task.
+
+What is there already is the plan's to know: ours write with :class:`surgbench.dataset.writer.DatasetWriter`, and do
+again what its ledgers do not name, or the disk does not hold as they say.
+"""
 
 from __future__ import annotations
 
@@ -20,6 +24,7 @@ from typing import Any
 from surgbench.dataset.manifest import MANIFEST_NAME, MARKER_NAME
 from surgbench.dataset.open import read_manifest
 from surgbench.dataset.storage import storage_error
+from surgbench.dataset.writer import SCRATCH_NAME, remove_ledgers
 from surgbench.errors import ConfigError, DatasetError, SurgbenchError
 from surgbench.files import PARTIAL_SUFFIX, write_atomic
 from surgbench.generation import GenerationPlan
@@ -27,9 +32,8 @@ from surgbench.processes.interruption import without_ctrl_c
 
 # A file takes at least a block of the disk.
 BLOCK_BYTES = 4096
-MANIFEST_BYTES_PER_FILE = 160
-# Holds what the manifest will say of the parts that are made, while the others are not; gone with the marker.
-SCRATCH_NAME = "generating"
+# What the manifest says of a file, and the ledgers as long as it does not.
+LISTED_BYTES_PER_FILE = 2 * 160
 
 
 def generate(
@@ -180,7 +184,7 @@ def _locked(out: Path) -> Iterator[None]:
 
 def _remove_marker(out: Path) -> None:
     if (out / MARKER_NAME).exists():  # else a folder of that name is not ours
-        shutil.rmtree(out / SCRATCH_NAME, ignore_errors=True)
+        remove_ledgers(out)
         (out / MARKER_NAME).unlink()
 
 

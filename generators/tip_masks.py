@@ -1,8 +1,8 @@
 """Masks with known tips, to train keypoint detectors on: the hypothesis space of Liang et al., corrupted.
 
 Poses are those of :mod:`surgbench.search.hypotheses`, the wrist anywhere in the image. Every mask has its own stream of
-random numbers, so that it does not depend on which others are made. Masks are painted by the engine's silhouettes, which give
-the same pixels as the renderer of datasets (``tests/silhouette/test_silhouette.py``) without Mitsuba.
+random numbers, so that it does not depend on which others are made. Masks are painted by the engine's silhouettes,
+which give the same pixels as the renderer of datasets (``tests/silhouette/test_silhouette.py``) without Mitsuba.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 
 from surgbench.config import locate, parse_model, read_yaml
 from surgbench.contract import Plugin
-from surgbench.errors import ConfigError
+from surgbench.errors import ConfigError, unknown_name
 from surgbench.generation import GenerationPlan, GenerationRequest
 from surgbench.generators.wire_chaser.job import WirePlan
 from surgbench.generators.wire_chaser.presets import WireChaser
@@ -24,14 +24,19 @@ class WireChasers(Plugin):
         """What a preset makes. Of a part all trials up to the last one are made, whole: they take no time.
 
         Raises:
-            ConfigError: The file is wrong, or an option has a value that will not do; one line.
+            ConfigError: The file is wrong, an option has a value that will not do, or the part names a trial that the
+                preset has not; one line.
         """
         if request.corruption is not None:
             raise ConfigError(f"--corruption: '{preset}' is of the viewpoint task, which has no masks")
-        trials = request.sequences if request.part is None else 1 + max(int(name) for name in request.part[0])
-        plan: GenerationPlan = WirePlan(
-            load_wire_chaser(preset, trials=trials, samples=request.frames, seed=request.seed)
-        )
+        loaded = load_wire_chaser(preset, trials=request.sequences, samples=request.frames, seed=request.seed)
+        if request.part is not None:
+            ids = list(WirePlan(loaded).samples)
+            for wanted in request.part[0]:
+                if wanted not in ids:
+                    raise ConfigError(unknown_name("trial", wanted, ids))
+            loaded = loaded.model_copy(update={"trials": 1 + max(map(ids.index, request.part[0]))})
+        plan: GenerationPlan = WirePlan(loaded)
         return plan
 
 

@@ -10,13 +10,24 @@ from typing import Any
 
 from numba import njit
 
+from surgbench.errors import ConfigError
+
 ENGINE = Path(__file__).parent
 
 
 @cache
 def sources(folders: tuple[Path, ...]) -> str:
-    """Hash of all modules of some folders."""
-    files = [file for folder in folders for file in sorted(folder.glob("*.py"))]
+    """Hash of all modules of some folders.
+
+    Raises:
+        ConfigError: A folder is not there, or holds no module: code would outlive what it was compiled from.
+    """
+    files: list[Path] = []
+    for folder in folders:
+        own = sorted(folder.glob("*.py"))
+        if not own:
+            raise ConfigError(f"{folder}: holds no modules that compiled code could depend on")
+        files += own
     return hashlib.sha256(b"\0".join(file.read_bytes() for file in files)).hexdigest()
 
 
@@ -32,6 +43,9 @@ def compiled(function: Any = None, *, inline: str = "never", makes_arrays: bool 
         inline: As numba's.
         makes_arrays: It has arrays of its own, or calls a function that has.
         calls: The engine's package with the compiled functions that it calls, where it is not in it: ``"viewpoint"``.
+
+    Raises:
+        ConfigError: There is no such package.
     """
     options: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy", "inline": inline}
     if not makes_arrays:

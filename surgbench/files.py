@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 PARTIAL_SUFFIX = ".partial"
+HASH_DIGITS = 16
 
 
 def write_atomic(path: Path, data: bytes) -> None:
@@ -26,6 +27,11 @@ def write_atomic(path: Path, data: bytes) -> None:
 def canonical_json(value: Any) -> str:
     """JSON with sorted keys and no spaces: the text that hashes are taken of. NaN is refused."""
     return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)
+
+
+def short_hash(value: Any) -> str:
+    """Start of the SHA-256 of a value's canonical JSON."""
+    return sha256_text(canonical_json(value))[:HASH_DIGITS]
 
 
 def sha256_text(text: str) -> str:

@@ -65,6 +65,8 @@ class GenerationPlan(Protocol):
     def write(self, out: Path, jobs: int, progress: Callable[[float], None]) -> Manifest:
         """Write everything but the manifest into the folder; what is there whole stays.
 
+        :class:`surgbench.dataset.writer.DatasetWriter` knows what is, and what the manifest is to say of the files.
+
         Args:
             out: The folder.
             jobs: Worker processes.

@@ -8,11 +8,9 @@ has one.
 from __future__ import annotations
 
 import importlib
-import importlib.util
 import inspect
 import pkgutil
 import re
-import sys
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import entry_points
@@ -25,6 +23,7 @@ from surgbench.config import parse_model
 from surgbench.errors import ConfigError, NotFoundError, unknown_name
 from surgbench.files import sha256_file
 from surgbench.kinds import KINDS, NAME_PATTERN
+from surgbench.plugin_files import load_file
 
 
 @dataclass(frozen=True)
@@ -141,19 +140,10 @@ def _checked(cls: Any, kind: str, source: str) -> type:
 
 @cache
 def _load_file(path: Path) -> Any:
-    # The class's module is findable by name, so that its instances can be pickled in this process.
-    name = f"surgbench_plugin_{sha256_file(path)[:16]}"
-    spec = importlib.util.spec_from_file_location(name, path)
-    if spec is None or spec.loader is None:
-        raise ConfigError(f"{path}: not a Python file")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module
     try:
-        spec.loader.exec_module(module)
+        return load_file(path)
     except BaseException as error:  # a file that exits is no better than one that raises
-        del sys.modules[name]
         raise ConfigError(f"{path}: cannot be imported ({type(error).__name__}: {error})") from error
-    return module
 
 
 def find(kind: str, reference: str) -> Found:

@@ -11,21 +11,24 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
-from surgbench.conformance.subject import Check
-from surgbench.dataset.base import Dataset
-from surgbench.dataset.manifest import Manifest
 from surgbench.errors import ConfigError, NotFoundError, SurgbenchError, unknown_name
-from surgbench.records.format import Record
 from surgbench.registry import default_task_name, discover
-from surgbench.report.column import Column
-from surgbench.report.row import COMMON_COLUMNS, Row
-from surgbench.report.video_options import VideoOptions
-from surgbench.reproduce.sheet import Sheet
-from surgbench.suite.asked import Conditions, RowRequest
-from surgbench.suite.running import Run
-from surgbench.suite.settings import Job, Settings
+
+if TYPE_CHECKING:
+    from surgbench.conformance.subject import Check
+    from surgbench.dataset.base import Dataset
+    from surgbench.dataset.manifest import Manifest
+    from surgbench.records.format import Record
+    from surgbench.report.column import Column
+    from surgbench.report.field import Field
+    from surgbench.report.row import Row
+    from surgbench.report.video_options import VideoOptions
+    from surgbench.reproduce.sheet import Sheet
+    from surgbench.suite.asked import Conditions, RowRequest
+    from surgbench.suite.running import Run
+    from surgbench.suite.settings import Job, Settings
 
 Advance = Callable[[float], None]
 
@@ -75,6 +78,8 @@ class Task(ABC):
     @property
     def row(self) -> type[RowRequest]:
         """What a row may ask for."""
+        from surgbench.suite.asked import RowRequest
+
         return RowRequest
 
     @abstractmethod
@@ -108,11 +113,15 @@ class Task(ABC):
     @property
     def record(self) -> type[Record]:
         """What is read of a record."""
+        from surgbench.records.format import Record
+
         return Record
 
     @property
-    def columns(self) -> tuple[str, ...]:
-        """Of the leaderboard, in order."""
+    def columns(self) -> tuple[Field, ...]:
+        """Of the leaderboard, in order, with their types."""
+        from surgbench.report.row import COMMON_COLUMNS
+
         return COMMON_COLUMNS
 
     @property

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from pathlib import Path
 from typing import Any
+
+from surgbench.files import short_hash
+from surgbench.records.format import RECORD_FORMAT
+from surgbench.records.seal import sealed
 
 
 def record(
@@ -56,10 +59,10 @@ def record(
     not_settings = ("unit", "sequence", "arms", "mask_kind", "repeat", "dataset")
     settings = {key: value for key, value in spec.items() if key not in not_settings}
     content = {
-        "format": "surgbench-record-1",
-        "spec_hash": _hash(spec),
+        "format": RECORD_FORMAT,
+        "spec_hash": short_hash(spec),
         "spec": spec,
-        "settings_hash": _hash(settings),
+        "settings_hash": short_hash(settings),
         "variant": f"none/{'truth' if truth else 'random'} kalman",
         "status": "ok",
         "error": None,
@@ -84,6 +87,11 @@ def record(
     return {**content, **changes}
 
 
+def with_seed(seed: int, content: dict[str, Any], **changes: Any) -> dict[str, Any]:
+    """The same run with another seed, and so of other settings."""
+    return content | {"spec": content["spec"] | {"seed": seed}, "settings_hash": f"{seed}" * 16} | changes
+
+
 def failed(**axes: Any) -> dict[str, Any]:
     """A record of a tracker that raised before its first frame."""
     return record(**axes) | {
@@ -94,15 +102,16 @@ def failed(**axes: Any) -> dict[str, Any]:
     }
 
 
+def as_written(content: dict[str, Any]) -> dict[str, Any]:
+    """A record with the hashes that fit its content."""
+    return sealed(content | {"spec_hash": short_hash(content["spec"])})
+
+
 def write(folder: Path, *records: dict[str, Any]) -> Path:
-    """Write records where the suite does: ``<row folder>/<unit>-r<repeat>.json``."""
+    """Write records where the suite does, hashed and sealed: ``<row folder>/<unit>-r<repeat>.json``."""
     for content in records:
         spec = content["spec"]
         path = folder / f"{spec['row_id']}-{content['settings_hash'][:6]}" / f"{spec['unit']}-r{spec['repeat']}.json"
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(json.dumps(content), encoding="utf-8")
+        path.write_text(json.dumps(as_written(content)), encoding="utf-8")
     return folder
-
-
-def _hash(value: Any) -> str:
-    return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()[:16]

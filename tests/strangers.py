@@ -6,6 +6,7 @@ import os
 import random
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -113,6 +114,19 @@ class FailsOnce(Still):
         return observation.start
 
 
+class Signs(Still):
+    """Notes its process in a file that the environment names, and takes its time."""
+
+    name = "signs"
+
+    def step(self, observation: Any) -> Any:
+        if observation.index == 1:
+            with open(os.environ["SURGBENCH_TEST_FLAG"], "a") as file:  # noqa: PTH123
+                file.write(f"{os.getpid()}\n")
+        time.sleep(0.2)
+        return observation.start
+
+
 class NoStep:
     name = "no-step"
 
@@ -144,9 +158,12 @@ class Prints(Still):
 
 
 class Spins(Still):
+    """Never ends; says so by a file that the environment names."""
+
     name = "spins"
 
     def step(self, observation: Any) -> Any:
+        Path(os.environ["SURGBENCH_TEST_FLAG"]).touch()
         while True:
             pass
 
@@ -412,4 +429,4 @@ class Dozing(Watching):
     name = "dozing"
 
     def step(self, observation: Any) -> Any:
-        time.sleep(60)
+        time.sleep(3600)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,15 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from surgbench import __version__
 from surgbench.dataset import tables
-from surgbench.dataset.integrity import difference
-from surgbench.dataset.manifest import FORMAT, FileEntry, observations_path
-from surgbench.dataset.storage import file_entry
-from surgbench.files import canonical_json, write_atomic
+from surgbench.dataset.manifest import FORMAT, observations_path
+from surgbench.dataset.writer import DatasetWriter, collect, read_part
+from surgbench.files import canonical_json
 from surgbench.generators.resumable import (
-    MANIFEST_BYTES_PER_FILE,
-    SCRATCH_NAME,
+    LISTED_BYTES_PER_FILE,
     blocks,
     configuration,
     ctrl_c_raises,
@@ -30,7 +26,7 @@ from surgbench.generators.resumable import (
 from surgbench.generators.wire_chaser.presets import WireChaser
 from surgbench.generators.wire_chaser.trial import StoppedError, draw_samples, make_trial
 from surgbench.geometry import FloatArray
-from surgbench.tasks.viewpoint.dataset import pose_columns, trial_files
+from surgbench.tasks.viewpoint.dataset import pose_columns
 from surgbench.tasks.viewpoint.format import (
     CONTACT,
     SceneTruth,
@@ -41,11 +37,14 @@ from surgbench.tasks.viewpoint.format import (
     feature_path,
     scene_path,
 )
+from surgbench.version import __version__
 from surgbench.viewpoint.trial import Trial
 
 # Numbers of six digits and more compress badly.
 BYTES_PER_SAMPLE = 130
 BYTES_PER_TRIAL = 120_000
+# Each trial is a part of its own, written at once under this key.
+TRIAL = "trial"
 
 
 @dataclass(frozen=True)
@@ -96,7 +95,7 @@ class WirePlan:
     def disk_bytes(self) -> int:
         """Disk that the whole dataset takes, an upper estimate."""
         size = self.frames * BYTES_PER_SAMPLE + len(self.samples) * BYTES_PER_TRIAL
-        return int(blocks(size) + blocks(len(self.paths) * MANIFEST_BYTES_PER_FILE))
+        return int(blocks(size) + blocks(len(self.paths) * LISTED_BYTES_PER_FILE))
 
     def write(self, out: Path, jobs: int, progress: Callable[[float], None]) -> ViewpointManifest:
         """Write everything but the manifest; what is there whole stays."""
@@ -107,17 +106,15 @@ class WirePlan:
                 progress(worker.write(trial_id))
         else:
             in_workers(tasks, _write_trial, min(jobs, len(tasks)), _start_worker, (self.preset, out), progress)
-        done = [_finished(out, trial_id) for trial_id in tasks]
-        assert all(done)
-        entries = [entry for one in done if one is not None for entry in (one[0],)]
-        files = {file: entry for one in done if one is not None for file, entry in one[1].items()}
+        files = collect(out, tasks, self.paths)
+        trials = [TrialEntry.model_validate(read_part(out, trial_id)[TRIAL].about) for trial_id in tasks]
         return ViewpointManifest(
             name=self.preset.name,
             created_by=f"surgbench {__version__}",
             origin="generated",
             seed=self.preset.seed,
             configuration=configuration(self),
-            trials=tuple(entries),
+            trials=tuple(trials),
             files=files,
         )
 
@@ -136,22 +133,16 @@ class _Worker:
 
     def write(self, trial_id: str) -> int:
         """Write a trial's files, if they are not there; returns its number of samples."""
-        found = _finished(self._out, trial_id)
-        if found is None:
+        writer = DatasetWriter(self._out, trial_id)
+        if writer.done(TRIAL) is None:
             try:
                 trial = make_trial(self._preset, trial_id, lambda: self._stop is None or not self._stop.value)
             except StoppedError:
                 return 0
-            files = encode_trial(trial)
-            for file, data in files.items():
-                write_atomic(self._out / file, data)
-            entry = describe_trial(trial, self._preset.level)
-            listed = {file: file_entry(data).model_dump(mode="json") for file, data in files.items()}
-            # Last: it says that the others are there.
-            scratch = json.dumps({"trial": entry.model_dump(mode="json"), "files": listed})
-            write_atomic(self._out / SCRATCH_NAME / f"{trial_id}.json", scratch.encode())
-            return entry.samples
-        return found[0].samples
+            about = describe_trial(trial, self._preset.level).model_dump(mode="json")
+            writer.write(TRIAL, encode_trial(trial), about)
+        samples: int = draw_samples(self._preset, trial_id)
+        return samples
 
 
 def encode_trial(trial: Trial) -> dict[str, bytes]:
@@ -203,18 +194,6 @@ def describe_trial(trial: Trial, level: str) -> TrialEntry:
 
 def _files(trial_id: str) -> list[str]:
     return [observations_path(trial_id), feature_path(trial_id), scene_path(trial_id)]
-
-
-def _finished(out: Path, trial_id: str) -> tuple[TrialEntry, dict[str, FileEntry]] | None:
-    """What the manifest will say of a trial and its files; ``None`` while they are not all there and whole."""
-    try:
-        content = json.loads((out / SCRATCH_NAME / f"{trial_id}.json").read_bytes())
-        entry = TrialEntry.model_validate(content["trial"])
-        files = {file: FileEntry.model_validate(content["files"][file]) for file in trial_files(entry)}
-        whole = all(difference(out / file, (out / file).read_bytes(), listed) is None for file, listed in files.items())
-    except (OSError, ValueError, KeyError):
-        return None
-    return (entry, files) if whole else None
 
 
 def _numbers(values: FloatArray) -> tuple[float, ...]:

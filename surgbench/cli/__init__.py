@@ -7,11 +7,11 @@ with ``--debug``.
 from __future__ import annotations
 
 import sys
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperGroup
 
-from surgbench import __version__
 from surgbench.cli.bench import bench_app
 from surgbench.cli.check import tracker
 from surgbench.cli.generate import generate
@@ -25,13 +25,33 @@ from surgbench.cli.train import train_app
 from surgbench.cli.validate import validate
 from surgbench.cli.video import video
 from surgbench.errors import SurgbenchError
-from surgbench.suite.asked import RowRequest
-from surgbench.task import all_tasks
+from surgbench.version import __version__
 
 INTERRUPTED = 130  # typer's own exit code for Ctrl-C, and the shell's
 
+
+class _Commands(TyperGroup):
+    """What tasks and importers may be told is looked for when it is asked for: it takes longer than all the rest."""
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """The command that the arguments begin with."""
+        name, command, rest = super().resolve_command(ctx, args)
+        return name, _run_with_all_options() if name == "run" else command, rest
+
+
+def _run_with_all_options() -> Any:
+    from surgbench.suite.asked import RowRequest
+    from surgbench.task import all_tasks
+
+    options = field_options({task.row: f"({task.name}) " for task in all_tasks()}, RowRequest)
+    own = typer.Typer(rich_markup_mode=None, add_completion=False, pretty_exceptions_enable=False)
+    own.command("run")(with_options(run, options, "asked"))
+    return typer.main.get_command(own)
+
+
 app = typer.Typer(
     name="surgbench",
+    cls=_Commands,
     no_args_is_help=True,
     add_completion=True,
     pretty_exceptions_enable=False,
@@ -63,9 +83,7 @@ def _main(
 app.command("generate")(generate)
 app.add_typer(import_app, name="import")
 app.command("validate")(validate)
-app.command("run")(
-    with_options(run, field_options({task.row: f"({task.name}) " for task in all_tasks()}, RowRequest), "asked")
-)
+app.command("run")(with_options(run, {}, "asked"))  # for the list of commands
 app.command("report")(report)
 app.command("reproduce")(reproduce)
 app.command("video")(video)

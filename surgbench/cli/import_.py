@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer.core import TyperGroup
 
-from surgbench.cli.options import field_options, with_options
 from surgbench.cli.progress import progress
-from surgbench.registry import Found, create, discover
+
+if TYPE_CHECKING:
+    from surgbench.registry import Found
 
 
 class _Importers(TyperGroup):
@@ -18,10 +19,14 @@ class _Importers(TyperGroup):
 
     def list_commands(self, ctx: Any) -> list[str]:
         """Their names."""
+        from surgbench.registry import discover
+
         return sorted(name for name, found in discover("importer").items() if found.cls is not None)
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """One of them, if it is there."""
+        from surgbench.registry import discover
+
         if cmd_name not in self.list_commands(ctx):
             return None
         app = typer.Typer(rich_markup_mode=None, add_completion=False)
@@ -41,6 +46,9 @@ def _import() -> None:
 
 
 def _command(found: Found) -> Any:
+    from surgbench.cli.options import field_options, with_options
+    from surgbench.registry import create
+
     def command(
         options: dict[str, Any],
         source: Annotated[Path, typer.Argument(metavar="SRC", help="The recording.")],

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Mapping
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from pydantic import BaseModel
-from pydantic.fields import FieldInfo
+
+if TYPE_CHECKING:
+    from pydantic import BaseModel
+    from pydantic.fields import FieldInfo
 
 Command = Callable[..., Any]
 
 
-def field_options(models: Mapping[type[BaseModel], str], known: type[BaseModel] = BaseModel) -> dict[str, Any]:
+def field_options(models: Mapping[type[BaseModel], str], known: type[BaseModel] | None = None) -> dict[str, Any]:
     """Parameters of a command, one for each field; ``None`` stands for what the command line does not say.
 
     A field's description is the help; a word in capitals at its begin (``NAME:``) stands for the value. What a field
@@ -26,10 +28,11 @@ def field_options(models: Mapping[type[BaseModel], str], known: type[BaseModel] 
     Returns:
         Field name to annotation.
     """
+    left_out = {} if known is None else known.model_fields
     found: dict[str, Any] = {}
     for model, prefix in models.items():
         for name, field in model.model_fields.items():
-            if name not in known.model_fields and name not in found:
+            if name not in left_out and name not in found:
                 found[name] = _option(name, field, prefix)
     return found
 

@@ -47,6 +47,9 @@ def run(
     retry_failed: Annotated[
         bool, typer.Option("--retry-failed/--keep-failed", help="Whether failed runs are tried again.")
     ] = True,
+    again: Annotated[
+        bool, typer.Option("--again", help="Run everything again; records that are there are replaced.")
+    ] = False,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be run, and run nothing.")] = False,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of records.")] = Path("runs"),
 ) -> None:
@@ -79,7 +82,7 @@ def run(
     data = open_dataset(dataset)
     check_output(out)
     planned = [job for one in suite_.rows for job in plan_jobs(complete(one, suite_, data), data)]
-    plan = make_plan(planned, out, retry_failed)
+    plan = make_plan(planned, out, retry_failed, again)
     words = f"{len(plan.todo) - plan.skipped} runs, {plan.frames} frames to track"
     if plan.skipped:
         words += f"; {plan.skipped} cannot be run here"
@@ -87,6 +90,8 @@ def run(
         words += f"; {plan.done} recorded already"
     if plan.retried:
         words += f"; {plan.retried} failed before and are tried again"
+    if plan.again:
+        words += f"; {plan.again} recorded already and made again"
     print(words, file=sys.stderr)
     if dry_run:
         for job in plan.todo:
@@ -102,7 +107,9 @@ def run(
     if plan.todo:
         probe_output(out)
         with progress("frames", plan.frames) as bar:
-            run_plan(plan, data, out, jobs, Run(bar, bar.stage), finished)
+            elsewhere = run_plan(plan, data, out, jobs, Run(bar, bar.stage), finished)
+        if elsewhere:
+            print(f"{elsewhere} of these were made by another call at the same time", file=sys.stderr)
     for record in failures:
         spec = record["spec"]
         print(f"{spec['row_id']} {spec['unit']}: {record['status']}: {record['error']}", file=sys.stderr)

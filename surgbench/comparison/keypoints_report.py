@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -16,6 +14,9 @@ from numpy.typing import NDArray
 from surgbench.comparison.keypoints import Group, Seen, picture, worst
 from surgbench.files import write_atomic
 from surgbench.keypoints.labelled import LabelledMasks
+from surgbench.report.field import count, number, text
+from surgbench.report.frame import csv_text, to_frame
+from surgbench.report.markdown import markdown_table
 from surgbench.suite.environment import environment
 
 if TYPE_CHECKING:
@@ -24,6 +25,13 @@ if TYPE_CHECKING:
 PICTURED = 24
 # What datasets are corrupted like, unless their preset says otherwise: the accuracy that one figure stands for.
 USUAL = "published"
+FIELDS = (
+    *text("keypoints", "by", "value"),
+    *count("masks"),
+    *number("detected_percent", "median_error_px", "p95_error_px"),
+    *count("other_masks"),
+    *number("false_pair_percent", "all_false_pair_percent", "latency_ms"),
+)
 HEADINGS = (
     "keypoints", "masks", "asked", "detected\n%", "median\npx", "95 %\npx", "others", "false pairs\n%", "ms",
 )  # fmt: skip
@@ -87,11 +95,8 @@ def write_report(
         "processor": environment()["machine"]["processor"],
     }
     write_atomic(out / "metrics.json", (json.dumps(metrics, indent=1) + "\n").encode())
-    table = io.StringIO()
-    writer = csv.DictWriter(table, list(rows[0].row()), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(group.row() for group in rows)
-    write_atomic(out / "accuracy.csv", table.getvalue().encode())
+    table = to_frame([group.row() for group in rows], FIELDS)
+    write_atomic(out / "accuracy.csv", csv_text(table).encode())
     write_atomic(out / "accuracy.md", _markdown(rows).encode())
     for name, answers in seen.items():
         _write_picture(out / f"{name}-worst.png", picture(masks, worst(answers, PICTURED)))
@@ -104,6 +109,4 @@ def _write_picture(path: Path, image: NDArray[np.uint8]) -> None:
 
 def _markdown(rows: Sequence[Group]) -> str:
     headings = [heading.replace("\n", " ") for heading in HEADINGS]
-    lines = [f"| {' | '.join(headings)} |", "| --- | --- |" + " ---: |" * (len(headings) - 2)]
-    lines += [f"| {' | '.join(_cells(group))} |" for group in rows]
-    return "\n".join(lines) + "\n"
+    return markdown_table([headings, *map(_cells, rows)], text_columns=2) + "\n"

@@ -9,7 +9,8 @@ from collections.abc import Iterable
 from multiprocessing.connection import Pipe
 from typing import Any
 
-from surgbench.processes.child import ONE_THREAD, Child, ChildProblemError
+from surgbench.processes.child import Child, ChildProblemError
+from surgbench.processes.threads import THREADS
 
 # The first call may compile for a minute.
 TIMEOUT_S = 300.0
@@ -37,7 +38,7 @@ class RendererProcess(Child):
         self._process = subprocess.Popen(
             [sys.executable, "-m", "surgbench.comparison.worker", str(theirs.fileno()), numbers],
             pass_fds=[theirs.fileno()],
-            env={**os.environ, **ONE_THREAD, **NO_DRAWING_THREADS, "NUMBA_NUM_THREADS": str(threads)},
+            env={**os.environ, **THREADS, **NO_DRAWING_THREADS, "NUMBA_NUM_THREADS": str(threads)},
         )
         theirs.close()
 

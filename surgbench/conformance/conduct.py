@@ -10,7 +10,6 @@ from surgbench.conformance.subject import Subject
 from surgbench.processes.child import Child, ChildProblemError
 
 WORKER = "surgbench.conformance.worker"
-START_TIMEOUT_S = 120.0  # imports take seconds, and on a busy machine more
 
 
 def conduct(
@@ -56,14 +55,13 @@ def conduct(
 
 
 def _begin(timeout_s: float) -> Child:
-    child = Child(START_TIMEOUT_S, WORKER)
+    child = Child(timeout_s, WORKER)
     try:
         child.send("ready")
-        child.receive()
+        child.ready()
     except BaseException:
         child.stop()
         raise
-    child.timeout_s = timeout_s
     return child
 
 

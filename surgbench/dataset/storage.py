@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import errno
 import hashlib
-from collections.abc import Iterable
 from pathlib import Path
 
 from surgbench.dataset.manifest import FileEntry
@@ -14,11 +13,6 @@ from surgbench.errors import SurgbenchError
 def file_entry(data: bytes) -> FileEntry:
     """Size and hash of a file's bytes."""
     return FileEntry(bytes=len(data), sha256=hashlib.sha256(data).hexdigest())
-
-
-def describe_files(root: Path, paths: Iterable[str]) -> dict[str, FileEntry]:
-    """The manifest's entries of some files below ``root``."""
-    return {path: file_entry((root / path).read_bytes()) for path in paths}
 
 
 def storage_error(error: OSError, folder: Path, advice: str) -> SurgbenchError:

@@ -16,15 +16,15 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from surgbench import __version__
 from surgbench.camera import Camera, read_camera
 from surgbench.camera.undistortion import COEFFICIENTS, Undistortion, is_distorted
 from surgbench.config import Section
 from surgbench.contract import Plugin
 from surgbench.dataset import tables
-from surgbench.dataset.manifest import MANIFEST_NAME, observations_path
+from surgbench.dataset.manifest import MANIFEST_NAME, FileEntry, observations_path
 from surgbench.dataset.masks import Mask, decode_png, encode_image, encode_mask, read_bytes
-from surgbench.dataset.storage import describe_files, storage_error
+from surgbench.dataset.storage import file_entry, storage_error
+from surgbench.dataset.writer import write_files
 from surgbench.errors import ConfigError, DatasetError
 from surgbench.geometry import FloatArray
 from surgbench.instrument import load_instrument, save_instrument
@@ -37,6 +37,7 @@ from surgbench.tasks.instrument.format import (
     observed_path,
 )
 from surgbench.tasks.instrument.tables import KEYPOINT_COLUMNS, READING_COLUMNS, arm_columns
+from surgbench.version import __version__
 
 CAMERA_NAME = "camera"
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
@@ -110,13 +111,16 @@ def import_masks(
             shutil.rmtree(scratch)  # of an import that was killed
         scratch.mkdir(parents=True)
         folder = instrument_folder(model.name)
-        paths = [str(path.relative_to(scratch)) for path in save_instrument(model, scratch / folder)]
+        files = {
+            path.relative_to(scratch).as_posix(): file_entry(path.read_bytes())
+            for path in save_instrument(model, scratch / folder)
+        }
         sequences = []
         count = len(recording.numbers)
         for part in ([index] for index in range(count)) if single_images else [list(range(count))]:
             entry = _entry(recording, part, SEQUENCE_ID if not single_images else None, 1.0 / fps, arm, model.name)
             sequences.append(entry)
-            paths += _write_sequence(recording, part, entry, scratch, progress)
+            files |= _write_sequence(recording, part, entry, scratch, progress)
         manifest = InstrumentManifest(
             name=label,
             created_by=f"surgbench {__version__}",
@@ -132,7 +136,7 @@ def import_masks(
             cameras={CAMERA_NAME: recording.camera.model_copy(update={"distortion": ()})},
             instruments={model.name: f"{folder}/instrument.yaml"},
             sequences=tuple(sequences),
-            files=describe_files(scratch, paths),
+            files=files,
         )
         (scratch / MANIFEST_NAME).write_bytes(manifest.to_bytes())
         scratch.rename(out)
@@ -233,8 +237,8 @@ def _entry(
 
 def _write_sequence(
     recording: Recording, part: list[int], entry: SequenceEntry, root: Path, progress: Callable[[float], None]
-) -> list[str]:
-    """Write a sequence's pictures and table; returns their paths below ``root``."""
+) -> dict[str, FileEntry]:
+    """Write a sequence's pictures and table; returns what the manifest says of them."""
     (arm,) = entry.arms
     camera = recording.camera
     lens = Undistortion(camera)
@@ -244,8 +248,7 @@ def _write_sequence(
         columns |= dict(zip(arm_columns(arm, KEYPOINT_COLUMNS), tips.reshape(-1, 4).T, strict=True))
     if recording.joints is not None:
         columns |= dict(zip(arm_columns(arm, READING_COLUMNS), recording.joints[part].T, strict=True))
-    contents = {observations_path(entry.id): tables.encode_table(columns)}
-    paths = _write(root, contents)
+    files = write_files(root, {observations_path(entry.id): tables.encode_table(columns)})
     for frame, index in enumerate(part):
         mask = binarise(_read_picture(recording.masks[index], camera))
         mask = lens(mask.astype(np.uint8), cv2.INTER_NEAREST) > 0
@@ -253,16 +256,9 @@ def _write_sequence(
         if recording.images is not None:
             image = lens(_as_rgb(_read_picture(recording.images[index], camera)))
             contents[observed_path(entry.id, IMAGE_KIND, frame)] = encode_image(image)
-        paths += _write(root, contents)
+        files |= write_files(root, contents)
         progress(1)
-    return paths
-
-
-def _write(root: Path, contents: dict[str, bytes]) -> list[str]:
-    for path, data in contents.items():
-        (root / path).parent.mkdir(parents=True, exist_ok=True)
-        (root / path).write_bytes(data)
-    return list(contents)
+    return files
 
 
 def _read_picture(path: Path, camera: Camera) -> NDArray[Any]:

@@ -6,11 +6,19 @@ import contextlib
 import os
 import subprocess
 import sys
+from collections.abc import Mapping
 from multiprocessing.connection import Pipe
 from typing import Any
 
-# One core for every tracker: latencies compare, and results do not depend on the machine's cores.
-ONE_THREAD = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")}
+from surgbench.processes.service import CALIBRATE
+from surgbench.processes.threads import THREADS
+
+# The reference work may have to be compiled first, on a busy machine.
+CALIBRATION_TIMEOUT_S = 300.0
+
+# The longest wait for a child that loads what it works with, where no longer one is asked for: imports take seconds,
+# and on a busy machine more.
+START_TIMEOUT_S = 120.0
 
 
 class ChildProblemError(Exception):
@@ -31,20 +39,21 @@ class Child:
     """A tracker's process. Use it as a context manager: it is gone afterwards, whatever happened.
 
     Args:
-        timeout_s: The longest silence that is waited for.
+        timeout_s: The longest silence that is waited for, once it has said that it is ready.
         module: What it runs.
+        environment: What its environment has besides, or otherwise than, this process's.
 
     Attributes:
         timeout_s: May be changed between messages.
     """
 
-    def __init__(self, timeout_s: float, module: str) -> None:
+    def __init__(self, timeout_s: float, module: str, environment: Mapping[str, str] = THREADS) -> None:
         self.timeout_s = timeout_s
         self._connection, theirs = Pipe()
         self._process = subprocess.Popen(
             [sys.executable, "-m", module, str(theirs.fileno())],
             pass_fds=[theirs.fileno()],
-            env={**os.environ, **ONE_THREAD},
+            env={**os.environ, **environment},
         )
         theirs.close()
 
@@ -53,6 +62,11 @@ class Child:
 
     def __exit__(self, *_: object) -> None:
         self.stop()
+
+    @property
+    def pid(self) -> int:
+        """The process's number."""
+        return self._process.pid
 
     def kill(self) -> None:
         """End the process at once; another thread that waits for it is told."""
@@ -75,9 +89,20 @@ class Child:
         Raises:
             ChildProblemError: It reports a problem, ended, or said nothing for too long.
         """
+        return self._receive(self.timeout_s)
+
+    def ready(self) -> tuple[Any, ...]:
+        """The same, of a message that comes once the child has loaded what it works with.
+
+        Raises:
+            ChildProblemError: As in :meth:`receive`.
+        """
+        return self._receive(max(self.timeout_s, START_TIMEOUT_S))
+
+    def _receive(self, patience_s: float) -> tuple[Any, ...]:
         try:
-            if not self._connection.poll(self.timeout_s):
-                raise ChildProblemError("timeout", f"no answer within {self.timeout_s:g} s")
+            if not self._connection.poll(patience_s):
+                raise ChildProblemError("timeout", f"no answer within {patience_s:g} s")
             message: tuple[Any, ...] = self._connection.recv()
         except (EOFError, OSError):
             code = self._process.wait()
@@ -86,3 +111,13 @@ class Child:
         if message[0] == "problem":
             raise ChildProblemError(*message[1:])
         return message
+
+    def calibrate(self) -> list[float]:
+        """Have the reference work timed in there, between messages; milliseconds of each turn.
+
+        Raises:
+            ChildProblemError: As in :meth:`receive`; what the child was to do itself cannot be told any more.
+        """
+        self.send(*CALIBRATE)
+        times: list[float] = self._receive(CALIBRATION_TIMEOUT_S)[1]
+        return times

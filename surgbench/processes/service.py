@@ -16,6 +16,8 @@ from typing import Any
 from surgbench.errors import InvalidAnswerError
 
 WATCH_INTERVAL_S = 1.0
+# A message that every child answers, with ("calibrated", milliseconds of each turn of the reference work).
+CALIBRATE = ("calibrate",)
 
 Tell = Callable[..., None]
 # Takes what to send in between, and a message; returns the answer, a tuple.
@@ -46,8 +48,21 @@ def serve_parent(answer: Answer) -> None:
     serve(Connection(int(sys.argv[1])), answer)
 
 
+def calibrate() -> tuple[Any, ...]:
+    """The answer to :data:`CALIBRATE`."""
+    from surgbench.processes.reference_work import measure_ms  # compiled code, which not every child has loaded
+
+    return ("calibrated", measure_ms())
+
+
+def _asks_to_calibrate(message: tuple[Any, ...]) -> bool:
+    return len(message) == 1 and isinstance(message[0], str) and message == CALIBRATE
+
+
 def serve(connection: Connection, answer: Answer) -> None:
     """Answer messages until the other end hangs up, or something goes wrong.
+
+    :data:`CALIBRATE` is answered here, for all.
 
     Whatever a plug-in raises is the run's result: it is told as ``("problem", status, one line, traceback)``, with the
     status ``invalid`` where it is an :class:`InvalidAnswerError`, else ``failed``.
@@ -66,7 +81,7 @@ def serve(connection: Connection, answer: Answer) -> None:
         except EOFError:
             return
         try:
-            connection.send(answer(tell, *message))
+            connection.send(calibrate() if _asks_to_calibrate(message) else answer(tell, *message))
         except Exception as error:
             invalid = isinstance(error, InvalidAnswerError)
             line = " ".join((str(error) if invalid else f"{type(error).__name__}: {error}").split())

@@ -9,7 +9,9 @@ from pydantic import BaseModel, ConfigDict, model_validator
 
 from surgbench.geometry import FloatArray
 
-RECORD_FORMAT = "surgbench-record-1"
+RECORD_FORMAT = "surgbench-record-2"
+UNSEALED_FORMAT = "surgbench-record-1"  # still read
+FORMATS = (UNSEALED_FORMAT, RECORD_FORMAT)
 FORMAT_STEM = "surgbench-record-"
 SKIPPED = "skipped"  # the status of a run that the machine lacks something for
 
@@ -31,9 +33,10 @@ class DatasetRef(Part):
 
 
 class Plug(Part):
-    """A plug-in and its effective options."""
+    """A plug-in, its effective options, and where its code is from, with the hash of that: ``place@hash``."""
 
     name: str
+    source: str = ""
     options: dict[str, Any] = {}
 
 
@@ -71,10 +74,12 @@ class Record(Part):
         path: The file it was read from.
         errors: Error name to ``(T,)`` or ``(T, arms)`` values, NaN where a frame has none; a missing truth
             leaves the name out.
-        whole: Errors that are not of single frames, but of all of them together.
         unit_frames: Frames that were asked for.
         dataset_frames: Frames of all units of the dataset; ``None`` in records of old versions.
         floor: The filter knew the truth.
+        calibration_ms: What the reference work took beside the run; ``None`` in records of old versions.
+        whole: Errors that are not of single frames, but of all of them together.
+        error_names: All errors that are written.
     """
 
     path: Path
@@ -88,10 +93,12 @@ class Record(Part):
     unit_frames: int
     dataset_frames: int | None = None
     floor: bool = False
+    calibration_ms: Number = None
     frames: Frames
     errors: dict[str, FloatArray]
 
     whole: ClassVar[tuple[str, ...]] = ()
+    error_names: ClassVar[tuple[str, ...]] = ()
 
     @model_validator(mode="after")
     def _errors_match(self) -> Record:

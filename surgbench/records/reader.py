@@ -12,7 +12,8 @@ from pydantic import ValidationError
 
 from surgbench.errors import DatasetError, NotFoundError
 from surgbench.geometry import FloatArray
-from surgbench.records.format import FORMAT_STEM, RECORD_FORMAT, SKIPPED, Record
+from surgbench.records.format import FORMAT_STEM, FORMATS, RECORD_FORMAT, SKIPPED, Record
+from surgbench.records.seal import check_seal
 from surgbench.task import find_task
 
 R = TypeVar("R", bound=Record)
@@ -28,8 +29,8 @@ def read_record(path: Path) -> Record | None:
         The record, as its task has it, or ``None`` when the file is sound but something else.
 
     Raises:
-        DatasetError: The file is truncated, is not JSON, or is a record with a wrong or missing key, or of a task that
-            is not known here.
+        DatasetError: The file is truncated, is not JSON, or is a record that was altered, with a wrong or missing key,
+            or of a task that is not known here.
     """
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
@@ -40,8 +41,9 @@ def read_record(path: Path) -> Record | None:
     found = content.get("format") if isinstance(content, dict) else None
     if not isinstance(found, str) or not found.startswith(FORMAT_STEM):
         return None
-    if found != RECORD_FORMAT:
-        raise DatasetError(f"{path}: record format '{found}' is not known here (known: {RECORD_FORMAT})")
+    if found not in FORMATS:
+        raise DatasetError(f"{path}: record format '{found}' is not known here (known: {', '.join(FORMATS)})")
+    check_seal(content, path)
     return parse_record(content, path)
 
 
@@ -68,6 +70,21 @@ def parse_record(content: dict[str, Any], path: Path) -> Record:
         raise DatasetError(f"{path}: '{key}': {message[:1].lower()}{message[1:]}") from None
     except ValueError as error:
         raise DatasetError(f"{path}: {error}") from None
+
+
+def check_written(content: dict[str, Any], path: Path) -> None:
+    """See that a record that is to be written can be read again, whole.
+
+    Raises:
+        DatasetError: A key is wrong or missing, or a column of ``frames`` or ``errors`` is not declared by its task's
+            record, which would not be read; one line.
+    """
+    record = parse_record(content, path)
+    declared = {"frames": tuple(type(record.frames).model_fields), "errors": record.error_names}
+    for part, names in declared.items():
+        for name in content[part] or {}:
+            if name not in names:
+                raise DatasetError(f"{path}: '{part}.{name}' is not declared by {type(record).__name__}")
 
 
 def _error_arrays(errors: dict[str, Any]) -> dict[str, FloatArray]:

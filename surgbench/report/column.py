@@ -1,39 +1,44 @@
-"""A column that tables are read by."""
+"""A column that tables are read by, in the terminal and on pages."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-
-from surgbench.report.row import Row
+from typing import Any
 
 NO_VALUE = "–"
 
 
 @dataclass(frozen=True)
 class Column:
-    """One column for reading.
+    """One column for reading: how a value of a row is shown, and what stands over it.
 
     Attributes:
         key: Key of the row.
-        short: Heading in the terminal, with the unit on a line of its own.
-        long: Heading in Markdown.
+        name: What it is called.
+        unit: As shown; empty for none.
         decimals: ``None`` for text and counts.
         scale: Multiplies the value (1000 turns metres into millimetres).
+        short: Heading in the terminal's leaderboard, with the unit on a line of its own.
         best: The smallest value of a sound row is marked.
         from_width: Terminals narrower than this go without it; Markdown shows all.
     """
 
     key: str
-    short: str
-    long: str
+    name: str
+    unit: str = ""
     decimals: int | None = None
     scale: float = 1.0
+    short: str = ""
     best: bool = False
     from_width: int = 0
 
-    def text(self, row: Row) -> str:
-        """The value as shown."""
-        value = row[self.key]
+    @property
+    def heading(self) -> str:
+        """Name and unit."""
+        return f"{self.name} [{self.unit}]" if self.unit else self.name
+
+    def text(self, value: Any) -> str:
+        """A value as shown; a dash for ``None``."""
         if value is None:
             return NO_VALUE
         if self.decimals is None:
@@ -43,7 +48,13 @@ class Column:
             return f"{shown:.1g}"
         return f"{shown:.{self.decimals}f}"
 
+    def with_spread(self, value: float | None, spread: float | None) -> str:
+        """A value and, where there is one, what it may be off by or spreads by."""
+        if value is None or spread is None:
+            return self.text(value)
+        return f"{self.text(value)} ± {self.text(spread)}"
 
-ROW = Column("row_id", "row", "row")
-VARIANT = Column("variant", "variant", "variant", from_width=120)
-STATUS = Column("status", "status", "status")
+
+ROW = Column("row_id", "row", short="row")
+VARIANT = Column("variant", "variant", short="variant", from_width=120)
+STATUS = Column("status", "status", short="status")

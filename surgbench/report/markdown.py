@@ -7,14 +7,17 @@ from collections.abc import Sequence
 from surgbench.report.row import Row
 
 
-def markdown_table(lines: list[list[str]], text_columns: int) -> str:
+def markdown_table(lines: Sequence[Sequence[str]], text_columns: int | Sequence[bool]) -> str:
     """A table of cells; the first line holds the headings.
 
     Args:
         lines: Equally long.
-        text_columns: So many columns hold text, the others numbers, which stand on the right.
+        text_columns: How many columns, the first ones, hold text, or of each whether it does; the others hold numbers,
+            which stand on the right.
     """
-    rule = ["---" if column < text_columns else "---:" for column in range(len(lines[0]))]
+    if isinstance(text_columns, int):
+        text_columns = [column < text_columns for column in range(len(lines[0]))]
+    rule = ["---" if is_text else "---:" for is_text in text_columns]
     return "\n".join(f"| {' | '.join(cells)} |" for cells in [lines[0], rule, *lines[1:]])
 
 

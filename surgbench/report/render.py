@@ -6,14 +6,15 @@ millimetres for lengths, the best value of a column in bold.
 
 from __future__ import annotations
 
-import csv as csv_format
 import io
-import json as json_format
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 from surgbench.records.format import SKIPPED
 from surgbench.report.column import ROW, STATUS, VARIANT, Column
+from surgbench.report.field import keys
+from surgbench.report.frame import csv_text, json_list, to_frame, to_rows
+from surgbench.report.markdown import escape, markdown_table
 from surgbench.report.row import Row
 from surgbench.report.rows import columns as columns_of
 from surgbench.task import find_task
@@ -27,17 +28,18 @@ ROW_MIN_WIDTH = 8
 
 def csv(rows: Sequence[Row]) -> str:
     """All columns; floats with all their digits, empty cells for missing values."""
-    out = io.StringIO()
-    writer = csv_format.DictWriter(out, columns_of(rows), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows([{key: value for key, value in row.items() if key in columns_of([row])} for row in rows])
-    return out.getvalue()
+    return csv_text(to_frame(_own(rows), columns_of(rows)))
 
 
 def json(rows: Sequence[Row]) -> str:
     """A list of rows; floats with all their digits, null for missing values."""
-    rows = [{key: row[key] for key in columns_of([row])} for row in rows]
-    return json_format.dumps(rows, indent=2, allow_nan=False, ensure_ascii=False) + "\n"
+    typed = to_rows(to_frame(_own(rows), columns_of(rows)))
+    return json_list([{key: one[key] for key in keys(columns_of([row]))} for row, one in zip(rows, typed, strict=True)])
+
+
+def _own(rows: Sequence[Row]) -> list[Row]:
+    """Each with the columns of its own task only."""
+    return [{key: row[key] for key in keys(columns_of([row]))} for row in rows]
 
 
 def markdown(rows: Sequence[Row]) -> str:
@@ -48,21 +50,18 @@ def markdown(rows: Sequence[Row]) -> str:
         unsound = _unsound(group)
         if unsound:
             columns.append(STATUS)
-        lines = [
-            f"### {_escape(title)}",
-            "",
-            _markdown_line([column.long for column in columns]),
-            _markdown_line(["---" if column.decimals is None else "---:" for column in columns]),
-        ]
+        lines = [[column.heading for column in columns]]
         for row in group:
-            cells = [_escape(column.text(row)) for column in columns]
-            marked = [
-                f"**{cell}**" if _is_best(column, row, best) else cell
-                for column, cell in zip(columns, cells, strict=True)
-            ]
-            lines.append(_markdown_line(marked))
-        failures = [f"- {_escape(_reason(row))}" for row in unsound]
-        parts.append("\n".join([*lines, *([""] if failures else []), *failures]) + "\n")
+            cells = [escape(column.text(row[column.key])) for column in columns]
+            lines.append(
+                [
+                    f"**{cell}**" if _is_best(column, row, best) else cell
+                    for column, cell in zip(columns, cells, strict=True)
+                ]
+            )
+        body = markdown_table(lines, [column.decimals is None for column in columns])
+        failures = [f"- {escape(_reason(row))}" for row in unsound]
+        parts.append("\n".join([f"### {escape(title)}", "", body, *([""] if failures else []), *failures]) + "\n")
     return "\n".join(parts)
 
 
@@ -99,7 +98,10 @@ def print_leaderboard(rows: Sequence[Row], console: Console) -> None:
                 min_width=ROW_MIN_WIDTH if is_text else None,
             )
         for row in group:
-            cells = [Text(column.text(row), style="bold" if _is_best(column, row, best) else "") for column in columns]
+            cells = [
+                Text(column.text(row[column.key]), style="bold" if _is_best(column, row, best) else "")
+                for column in columns
+            ]
             sheet.add_row(*cells, style=_style(row))
         console.print(sheet)
         for row in _unsound(group):
@@ -170,11 +172,3 @@ def _reason(row: Row) -> str:
 
 def _style(row: Row) -> str | None:
     return {"ok": None, SKIPPED: "dim"}.get(row["status"], "red")
-
-
-def _markdown_line(cells: list[str]) -> str:
-    return f"| {' | '.join(cells)} |"
-
-
-def _escape(text: str) -> str:
-    return text.replace("\\", "\\\\").replace("|", "\\|").replace("\n", " ")

@@ -9,14 +9,16 @@ import numpy as np
 
 from surgbench.geometry import FloatArray
 from surgbench.records.format import Record
+from surgbench.report.field import count, number, text
 
 Row = dict[str, Any]
 
 COMMON_COLUMNS = (
-    "row_id", "task", "dataset", "tracker", "variant", "settings_hash", "status", "error", "sequences", "frames",
-    "repeats", "coverage", "latency_ms", "latency_ms_p95", "latency_optimise_ms", "latency_keypoints_ms",
-    "latency_masks_ms", "latency_filter_ms", "calibration_ratio",
-)  # fmt: skip
+    *text("row_id", "task", "dataset", "tracker", "variant", "settings_hash", "status", "error"),
+    *count("sequences", "frames", "repeats"),
+    *number("coverage", "latency_ms", "latency_ms_p95", "latency_optimise_ms", "latency_keypoints_ms"),
+    *number("latency_masks_ms", "latency_filter_ms", "calibration_ratio"),
+)
 
 
 def median(values: FloatArray) -> float | None:

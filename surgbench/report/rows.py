@@ -8,9 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from surgbench.processes.reference import REFERENCE_MS
 from surgbench.records.format import SKIPPED, Record
 from surgbench.records.reader import read_records
+from surgbench.report.field import Field, keys
 from surgbench.report.row import COMMON_COLUMNS, Row, median, pooled
+from surgbench.report.telling import telling_variants
 from surgbench.task import Task, default_task, find_task
 
 
@@ -32,28 +35,34 @@ def derive_rows(records: Sequence[Record]) -> list[Row]:
     Returns:
         Rows with the columns of their tasks, ``None`` where there is no value; by dataset and group, sound rows, then
         floors, then failed and skipped ones, each by what its task ranks by. Two datasets of one name get the start of
-        their hash added to it.
+        their hash added to it; two rows of one name that their variants do not tell apart, to their variants
+        (:func:`~surgbench.report.telling.telling_variants`).
     """
     groups: dict[tuple[str, str, str, str], list[Record]] = {}
     for record in sorted(records, key=lambda r: (r.spec.unit, r.spec.repeat, r.spec_hash)):
         spec = record.spec
         group = find_task(spec.task).group(record)
         groups.setdefault((spec.dataset.sha256, spec.row_id, record.settings_hash, group), []).append(record)
+    namesakes: dict[tuple[str, str, str], list[Record]] = {}
+    for (sha256, row_id, _, group), members in groups.items():
+        namesakes.setdefault((sha256, row_id, group), []).append(members[0])
+    variants = {key: telling_variants(members) for key, members in namesakes.items()}
     names = {record.spec.dataset.sha256: record.spec.dataset.name for record in records}
     ranked: list[tuple[Any, Row]] = []
-    for (sha256, *key, group), members in groups.items():
+    for (sha256, row_id, settings_hash, group), members in groups.items():
         task = find_task(members[0].spec.task)
-        rows = task.rows(_head(members), members)
+        variant = variants[sha256, row_id, group][settings_hash]
+        rows = task.rows({**_head(members), "variant": variant}, members)
         for row in rows:
             if list(names.values()).count(row["dataset"]) > 1:
                 row["dataset"] = f"{names[sha256]}@{sha256[:8]}"
         place = _place(task, next(row for row in rows if task.is_whole(row)), group)
-        ranked += [((*place, sha256, *key), row) for row in rows]
+        ranked += [((*place, sha256, row_id, settings_hash), row) for row in rows]
     ranked.sort(key=lambda item: item[0])  # stable: the rows of one run stay in their task's order
     return [row for _, row in ranked]
 
 
-def columns(rows: Sequence[Row]) -> tuple[str, ...]:
+def columns(rows: Sequence[Row]) -> tuple[Field, ...]:
     """The columns that rows have: those of their task, or of all of their tasks."""
     tasks = [find_task(name) for name in sorted({row["task"] for row in rows})] or [default_task()]
     return tuple(dict.fromkeys(column for task in tasks for column in task.columns))
@@ -81,12 +90,11 @@ def _head(records: Sequence[Record]) -> Row:
     done = sum(len(record.frames.index) for record in records)
     latency = pooled(records, "latency_ms")
     return {
-        **dict.fromkeys(COMMON_COLUMNS),
+        **dict.fromkeys(keys(COMMON_COLUMNS)),
         "row_id": spec.row_id,
         "task": spec.task,
         "dataset": spec.dataset.name,
         "tracker": spec.tracker.name,
-        "variant": records[0].variant,
         "settings_hash": records[0].settings_hash,
         "status": failed.status if failed else "ok",
         "error": failed.error if failed else None,
@@ -96,7 +104,15 @@ def _head(records: Sequence[Record]) -> Row:
         "coverage": done / max(1, _asked(records)),
         "latency_ms": median(latency),
         "latency_ms_p95": float(np.percentile(latency, 95)) if latency.size else None,
+        "calibration_ratio": _calibration_ratio(records),
     }
+
+
+def _calibration_ratio(records: Sequence[Record]) -> float | None:
+    """How many times as long as on the reference machine everything takes."""
+    times = np.array([record.calibration_ms for record in records if record.calibration_ms is not None])
+    middle = median(times)
+    return None if middle is None else middle / REFERENCE_MS
 
 
 def _asked(records: Sequence[Record]) -> int:

@@ -5,37 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from surgbench.report.column import Column
 from surgbench.report.row import Row
 from surgbench.reproduce.published import Published
 from surgbench.reproduce.table import Block, TableRow
-
-
-@dataclass(frozen=True)
-class Measure:
-    """A column that tables are read by.
-
-    Attributes:
-        key: Of a row.
-        name: Heading.
-        unit: As shown.
-        scale: Multiplies the value (1000 turns metres into millimetres).
-        decimals: As shown.
-    """
-
-    key: str
-    name: str
-    unit: str
-    decimals: int
-    scale: float = 1.0
-
-    def text(self, value: float | None) -> str:
-        """A value as shown."""
-        return "–" if value is None else f"{value * self.scale:.{self.decimals}f}"
-
-    @property
-    def heading(self) -> str:
-        """Name and unit."""
-        return f"{self.name} [{self.unit}]" if self.unit else self.name
 
 
 @dataclass(frozen=True)
@@ -49,7 +22,7 @@ class Pair:
         sem: Standard error over sequences.
     """
 
-    measure: Measure
+    measure: Column
     published: float
     ours: float | None
     sem: float | None
@@ -74,7 +47,7 @@ class Comparison:
 
 
 def compare(
-    block: Block, rows: Sequence[Row], published: Published | None, measures: Sequence[Measure]
+    block: Block, rows: Sequence[Row], published: Published | None, measures: Sequence[Column]
 ) -> list[Comparison]:
     """All rows of a block that have a published row and were run, with the figures that both are about."""
     if published is None:

@@ -2,31 +2,19 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from surgbench.errors import DatasetError
 from surgbench.files import canonical_json
-from surgbench.report.row import Row
+from surgbench.report.frame import read_csv, to_rows
 from surgbench.reproduce.results import Results
 from surgbench.task import default_task, find_task
 
 FORMAT = "surgbench-reproduction-1"
 LEADERBOARD_CSV, LEADERBOARD_MD = "leaderboard.csv", "leaderboard.md"
 SEQUENCES_CSV, RECORDS_JSON = "sequences.csv", "records.json"
-
-
-def csv_text(rows: Sequence[Row], columns: Sequence[str]) -> str:
-    """CSV with every digit; empty cells for missing values."""
-    out = io.StringIO()
-    writer = csv.DictWriter(out, columns, lineterminator="\n", extrasaction="ignore")
-    writer.writeheader()
-    writer.writerows(rows)
-    return out.getvalue()
 
 
 def json_text(about: dict[str, Any]) -> str:
@@ -50,30 +38,12 @@ def read_results(folder: Path) -> Results:
             raise ValueError(f"not of the format {FORMAT}")
         path = folder / LEADERBOARD_CSV
         sheet = find_task(about.get("task", default_task().name)).sheet
-        rows = _read_csv(path, sheet.leaderboard, sheet.text)
+        rows = to_rows(read_csv(path.read_text(encoding="utf-8"), sheet.leaderboard))
         path = folder / SEQUENCES_CSV
-        return Results(rows, _read_csv(path, sheet.sequences, sheet.text), about)
+        return Results(rows, to_rows(read_csv(path.read_text(encoding="utf-8"), sheet.sequences)), about)
     except FileNotFoundError:
         raise DatasetError(f"{path}: missing; a reproduced table is a folder with this file") from None
     except OSError as error:
         raise DatasetError(f"{path}: cannot be read ({error.strerror})") from None
     except (ValueError, KeyError, TypeError) as error:
-        raise DatasetError(f"{path}: damaged ({error})") from None
-
-
-def _read_csv(path: Path, columns: Sequence[str], text: frozenset[str]) -> list[Row]:
-    lines = csv.DictReader(io.StringIO(path.read_text(encoding="utf-8")))
-    if tuple(lines.fieldnames or ()) != tuple(columns):
-        raise ValueError("other columns than this version of surgbench writes")
-    return [{key: cell or None if key in text else _value(cell) for key, cell in line.items()} for line in lines]
-
-
-def _value(cell: str) -> Any:
-    if cell == "":
-        return None
-    if cell in ("True", "False"):
-        return cell == "True"
-    try:
-        return int(cell)
-    except ValueError:
-        return float(cell)
+        raise DatasetError(f"{path}: damaged ({' '.join(str(error).split())})") from None

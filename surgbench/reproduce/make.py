@@ -7,6 +7,7 @@ from pathlib import Path
 from surgbench.errors import SurgbenchError
 from surgbench.files import write_atomic
 from surgbench.report.figures import FIGURE_PNG, check_matplotlib
+from surgbench.report.frame import csv_text, to_frame
 from surgbench.reproduce.datasets import MakeDataset, Watcher
 from surgbench.reproduce.derive import derive
 from surgbench.reproduce.files import (
@@ -14,7 +15,6 @@ from surgbench.reproduce.files import (
     LEADERBOARD_MD,
     RECORDS_JSON,
     SEQUENCES_CSV,
-    csv_text,
     json_text,
     read_results,
 )
@@ -62,8 +62,8 @@ def reproduce(
     sheet = find_task(definition.table.task).sheet
     results.about["figure"] = bool(with_figure and sheet.draw(definition, blocks, folder))
     texts = {
-        LEADERBOARD_CSV: csv_text(results.rows, sheet.leaderboard),
-        SEQUENCES_CSV: csv_text(results.sequences, sheet.sequences),
+        LEADERBOARD_CSV: csv_text(to_frame(results.rows, sheet.leaderboard)),
+        SEQUENCES_CSV: csv_text(to_frame(results.sequences, sheet.sequences)),
         RECORDS_JSON: json_text(results.about),
         LEADERBOARD_MD: sheet.page(definition, results),
     }

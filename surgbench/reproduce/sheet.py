@@ -8,15 +8,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from surgbench.records.format import Record
-from surgbench.report.row import COMMON_COLUMNS, Row
+from surgbench.report.field import Field, count, keys, number, text
+from surgbench.report.row import Row
 
 if TYPE_CHECKING:
     from surgbench.dataset.base import Dataset
-    from surgbench.reproduce.compare import Measure
+    from surgbench.report.column import Column
     from surgbench.reproduce.results import BlockWork, Results
     from surgbench.reproduce.table import Definition
-
-_NUMBERS = frozenset({"sequences", "frames", "repeats", "coverage", "calibration_ratio"})
 
 
 @dataclass(frozen=True)
@@ -25,7 +24,6 @@ class Sheet:
 
     Attributes:
         columns: Of the leaderboard, without block and label.
-        settings: Those of them which hold text.
         errors: Whose means over a sequence are kept, and of them a row's.
         whole: Those of them that are one value for all frames, and have no spread.
         counts: Counted over a sequence.
@@ -41,8 +39,7 @@ class Sheet:
         measures: What is shown beside published figures in the terminal.
     """
 
-    columns: tuple[str, ...]
-    settings: frozenset[str]
+    columns: tuple[Field, ...]
     errors: tuple[str, ...]
     whole: tuple[str, ...]
     counts: tuple[str, ...]
@@ -54,29 +51,23 @@ class Sheet:
     page: Callable[[Definition, Results], str]
     draw: Callable[[Definition, Sequence[BlockWork], Path], list[str]]
     estimates: str
-    measures: tuple[Measure, ...] = ()
+    measures: tuple[Column, ...] = ()
 
     @property
-    def leaderboard(self) -> tuple[str, ...]:
+    def leaderboard(self) -> tuple[Field, ...]:
         """Columns of ``leaderboard.csv``."""
-        return (*self.columns, "block", "label")
+        return (*self.columns, *text("block", "label"))
 
     @property
-    def sequences(self) -> tuple[str, ...]:
+    def sequences(self) -> tuple[Field, ...]:
         """Columns of ``sequences.csv``: no times, so that a rerun elsewhere writes the same file."""
-        head = ("row_id", "block", "unit", *self.traits, "repeat", "status", "frames")
-        return (*head, *self.errors, *self.counts)
+        head = (*text("row_id", "block", "unit", *self.traits), *count("repeat"), *text("status"), *count("frames"))
+        return (*head, *number(*self.errors), *count(*self.counts))
 
     @property
     def latencies(self) -> tuple[str, ...]:
         """Columns that are measured one run at a time."""
-        return tuple(column for column in self.columns if column.startswith("latency_"))
-
-    @property
-    def text(self) -> frozenset[str]:
-        """Columns that hold text."""
-        own = {*self.settings, *self.traits, "block", "label", "unit"}
-        return frozenset({*COMMON_COLUMNS, *own} - _NUMBERS - set(self.latencies))
+        return tuple(key for key in keys(self.columns) if key.startswith("latency_"))
 
     def sequence_row(self, block: str, dataset: Dataset[Any], record: Record) -> Row:
         """A record's line of ``sequences.csv``."""

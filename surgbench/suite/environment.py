@@ -10,7 +10,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-import surgbench
+import surgbench.version as own
 
 PACKAGES = (
     "numpy",
@@ -38,7 +38,7 @@ def environment(device: str = "cpu") -> dict[str, Any]:
     if device != "cpu":
         machine["gpu"] = gpu()
     return {
-        "surgbench": surgbench.__version__,
+        "surgbench": own.__version__,
         "python": platform.python_version(),
         "packages": {name: found for name in PACKAGES if (found := _version(name)) is not None},
         "git": _git_state(),
@@ -66,7 +66,7 @@ def _version(package: str) -> str | None:
 
 def _git_state() -> dict[str, Any] | None:
     """Commit of the checkout surgbench runs from, and whether it has changes; ``None`` outside one."""
-    folder = Path(surgbench.__file__).resolve().parent
+    folder = Path(own.__file__).resolve().parent
 
     def git(*arguments: str) -> str | None:
         try:
@@ -75,7 +75,7 @@ def _git_state() -> dict[str, Any] | None:
             return None
         return done.stdout.strip()
 
-    tracked = git("ls-files", "--error-unmatch", Path(surgbench.__file__).name)
+    tracked = git("ls-files", "--error-unmatch", Path(own.__file__).name)
     commit = git("rev-parse", "HEAD") if tracked else None
     return None if commit is None else {"commit": commit, "changed": bool(git("status", "--porcelain", "-uno"))}
 

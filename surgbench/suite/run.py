@@ -1,23 +1,41 @@
-"""Run what is planned and not there yet, several at a time, and write every record as soon as it is made."""
+"""Run what is planned and not there yet, several at a time, and write every record as soon as it is made.
+
+Several calls at once into one folder share the work: a job that another one is at is left to it.
+"""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+import os
+import time
+from collections.abc import Callable, Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from surgbench.dataset.base import Dataset
 from surgbench.errors import DatasetError, SurgbenchError
 from surgbench.files import PARTIAL_SUFFIX, canonical_json, write_atomic
-from surgbench.records.format import RECORD_FORMAT, SKIPPED
+from surgbench.records.format import FORMATS, SKIPPED
+from surgbench.records.reader import check_written
+from surgbench.records.seal import check_seal, sealed
+from surgbench.suite.claim import LOCK_SUFFIX, cannot_write, claim
 from surgbench.suite.environment import environment
 from surgbench.suite.head import head, skipped
 from surgbench.suite.running import Run
 from surgbench.suite.settings import Job
 from surgbench.task import find_task
+
+# Between two looks at what other calls are at.
+LOOK_AGAIN_S = 0.5
+
+
+class Stamp(NamedTuple):
+    """What tells a file from the one that replaces it."""
+
+    inode: int
+    modified_ns: int
 
 
 @dataclass(frozen=True)
@@ -25,16 +43,21 @@ class Plan:
     """What a call of ``run`` will do.
 
     Attributes:
-        todo: Jobs without a sound record, those that this machine cannot run among them.
+        todo: Jobs without a sound record, or all where they are run again; those that this machine cannot run among
+            them.
         done: Number of jobs whose record is there already.
         retried: Number of jobs among ``todo`` whose record says that they failed.
+        again: Number of jobs among ``todo`` whose record is there and is replaced.
         skipped: Number of jobs among ``todo`` that this machine cannot run.
+        before: Of jobs among ``todo``, by their paths, which file was there when this was planned.
     """
 
     todo: tuple[Job, ...]
     done: int
     retried: int
+    again: int
     skipped: int
+    before: Mapping[str, Stamp]
 
     @property
     def frames(self) -> int:
@@ -54,9 +77,10 @@ def check_output(out: Path) -> None:
         raise SurgbenchError(f"{out}: is a file; --out names a folder for records")
     if (out / "dataset.json").exists() or (out / "generating.json").exists():
         raise SurgbenchError(f"{out}: is a dataset; give records a folder of their own with --out")
-    strangers = sorted(path.name for path in out.iterdir() if path.is_file() and not path.name.endswith(PARTIAL_SUFFIX))
     ours = {"leaderboard.csv", "leaderboard.md", "leaderboard.json"}
-    strangers = [name for name in strangers if name not in ours]
+    passing = (PARTIAL_SUFFIX, LOCK_SUFFIX)
+    names = sorted(path.name for path in out.iterdir() if path.is_file())
+    strangers = [name for name in names if name not in ours and not name.endswith(passing)]
     if strangers:
         raise SurgbenchError(f"{out}: holds something else ('{strangers[0]}'); records need a folder of their own")
 
@@ -65,9 +89,7 @@ def _write(path: Path, data: bytes) -> None:
     try:
         write_atomic(path, data)
     except OSError as error:
-        raise SurgbenchError(
-            f"{path}: cannot be written ({error.strerror}); mend that, then run the same command again"
-        ) from None
+        raise cannot_write(path, error) from None
 
 
 def probe_output(out: Path) -> None:
@@ -76,37 +98,61 @@ def probe_output(out: Path) -> None:
     Raises:
         SurgbenchError: It cannot.
     """
-    probe = out / f"probe{PARTIAL_SUFFIX}"
+    probe = out / f"probe.{os.getpid()}{PARTIAL_SUFFIX}"
     _write(probe, bytes(1 << 16))
     probe.unlink()
 
 
-def make_plan(jobs: list[Job], out: Path, retry_failed: bool = True) -> Plan:
+def make_plan(jobs: list[Job], out: Path, retry_failed: bool = True, again: bool = False) -> Plan:
     """Sort jobs by what is already there.
 
+    Args:
+        jobs: What is asked for.
+        out: Folder of records.
+        retry_failed: Failed runs are tried again.
+        again: All are run again, whatever is there, be it damaged.
+
     Raises:
-        DatasetError: A record is damaged, or is of another run.
+        DatasetError: A record is damaged or altered, or is of another run.
     """
-    todo, done, retried = [], 0, 0
+    todo, before, done, retried, replaced = [], {}, 0, 0, 0
     for job in {job.hash: job for job in jobs}.values():  # each once, however often it is asked for
-        status = _recorded_status(out / job.path, job)
-        if status is None or (status != "ok" and retry_failed):
-            todo.append(job)
-            retried += status not in (None, SKIPPED) and job.settings.unavailable is None
-        else:
+        path = out / job.path
+        stamp = _stamp(path)  # before it is read: what replaces it meanwhile is another one
+        record = None if again else _recorded(path, job)
+        if record is not None and (record["status"] == "ok" or not retry_failed):
             done += 1
-    return Plan(tuple(todo), done, retried, sum(job.settings.unavailable is not None for job in todo))
+            continue
+        todo.append(job)
+        if stamp is not None:
+            before[job.path] = stamp
+            replaced += again
+        retried += record is not None and record["status"] != SKIPPED and job.settings.unavailable is None
+    skipped = sum(job.settings.unavailable is not None for job in todo)
+    return Plan(tuple(todo), done, retried, replaced, skipped, before)
 
 
-def _recorded_status(path: Path, job: Job) -> str | None:
+def _stamp(path: Path) -> Stamp | None:
+    """Of the file that is there now; ``None`` where there is none."""
     try:
-        record = json.loads(path.read_text(encoding="utf-8"))
-        if record["format"] == RECORD_FORMAT and record["spec_hash"] == job.hash:
-            return str(record["status"])
+        found = path.stat()
+    except OSError:  # nothing there, or nowhere to look
+        return None
+    return Stamp(found.st_ino, found.st_mtime_ns)
+
+
+def _recorded(path: Path, job: Job) -> dict[str, Any] | None:
+    """A job's record; ``None`` where there is none."""
+    try:
+        record: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        if record["format"] in FORMATS:
+            check_seal(record, path)
+            if record["spec_hash"] == job.hash and record["status"]:
+                return record
     except (FileNotFoundError, NotADirectoryError):
         return None  # nothing there, or nowhere to write, which is noticed before the work
     except (OSError, ValueError, KeyError, TypeError):
-        raise DatasetError(f"{path}: damaged record; delete it and run again") from None
+        raise DatasetError(f"{path}: damaged record; delete it, or run with --again") from None
     raise DatasetError(f"{path}: record of another run; choose another --out")
 
 
@@ -117,8 +163,11 @@ def run(
     workers: int,
     under_way: Run,
     finished: Callable[[dict[str, Any]], None],
-) -> None:
+) -> int:
     """Run the plan's jobs.
+
+    What another process is at is left to it, and looked at again when all else is done: if it has come to nothing
+    there, it is run here.
 
     Args:
         plan: From :func:`make_plan`.
@@ -128,40 +177,68 @@ def run(
         under_way: Is told how far they are.
         finished: Called with every record once it is written.
 
+    Returns:
+        How many of the records another process has made.
+
     Raises:
-        SurgbenchError: A record cannot be written, or the dataset is at fault; runs in work are ended.
+        SurgbenchError: A record cannot be written, or could not be read again, or the dataset is at fault; runs in
+            work are ended.
     """
     task = find_task(dataset.task)
 
-    def one(job: Job) -> dict[str, Any] | None:
+    def make(job: Job) -> dict[str, Any] | None:
+        unavailable = job.settings.unavailable
+        part = under_way.part()
+        if unavailable is not None:
+            done = skipped(unavailable)
+        else:
+            done = task.execute(job, dataset, part)
+            if under_way.stopping:
+                return None
+            part.advance(job.frames - part.done)  # what a failed run never reached
+        about = head(job, dataset, environment(job.settings.conditions.device))
+        record = sealed({**about, "calibration_ms": part.calibration_ms, **done})
+        check_written(record, out / job.path)
+        _write(out / job.path, (canonical_json(record) + "\n").encode())
+        return record
+
+    def one(job: Job) -> _Outcome:
         if under_way.stopping:
-            return None
+            return _Outcome(job, None)
+        path = out / job.path
         try:
-            unavailable = job.settings.unavailable
-            if unavailable is not None:
-                done = skipped(unavailable)
-            else:
-                part = under_way.part()
-                done = task.execute(job, dataset, part)
-                if under_way.stopping:
-                    return None
-                part.advance(job.frames - part.done)  # what a failed run never reached
-            record = {**head(job, dataset, environment(job.settings.conditions.device)), **done}
-            _write(out / job.path, (canonical_json(record) + "\n").encode())
+            with claim(path) as ours:
+                if not ours:
+                    return _Outcome(job, None)
+                if _stamp(path) in (None, plan.before.get(job.path)):
+                    return _Outcome(job, make(job))
+                record = _recorded(path, job)  # by another process, since this was planned
+            if job.settings.unavailable is None:
+                under_way.advance(job.frames)
+            return _Outcome(job, record, elsewhere=True)
         except BaseException:
             under_way.stop()  # before this thread takes the next job
             raise
-        return record
 
+    elsewhere = 0
     with ThreadPoolExecutor(max_workers=workers) as pool:
-        waiting: set[Future[dict[str, Any] | None]] = {pool.submit(one, job) for job in plan.todo}
+        waiting: set[Future[_Outcome]] = {pool.submit(one, job) for job in plan.todo}
+        left: list[Job] = []
         try:
             while waiting:
                 ended, waiting = wait(waiting, return_when=FIRST_COMPLETED)
                 for future in ended:
-                    record = future.result()
-                    if record is not None:
-                        finished(record)
+                    outcome = future.result()
+                    if outcome.record is None:
+                        left.append(outcome.job)
+                    else:
+                        elsewhere += outcome.elsewhere
+                        finished(outcome.record)
+                if left and not waiting and not under_way.stopping:
+                    under_way.stage("waiting for another call's runs", 0.0)
+                    time.sleep(LOOK_AGAIN_S)
+                    waiting, left = {pool.submit(one, job) for job in left}, []
+            under_way.stage("waiting for another call's runs", 1.0)
         except BaseException:
             # Ctrl-C or a fault: what is in work ends now, what is written stays.
             under_way.stop()
@@ -169,3 +246,13 @@ def run(
                 future.cancel()
             under_way.kill()
             raise
+    return elsewhere
+
+
+@dataclass(frozen=True)
+class _Outcome:
+    """What came of a job: its record, or none where it is left to another process or the run is being stopped."""
+
+    job: Job
+    record: dict[str, Any] | None
+    elsewhere: bool = False

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import statistics
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -30,6 +32,7 @@ class Run:
         self._advance = advance
         self._stopping = threading.Event()
         self._children: set[Child] = set()
+        self._calibration_ms: list[float] = []
 
     def part(self) -> Run:
         """The same run with a count of its own, for one job."""
@@ -41,6 +44,11 @@ class Run:
         """So many more frames have been done."""
         self.done += frames
         self._advance(frames)
+
+    @property
+    def calibration_ms(self) -> float | None:
+        """What the reference work took in the children, the median of all turns; ``None`` where it was not timed."""
+        return statistics.median(self._calibration_ms) if self._calibration_ms else None
 
     @property
     def stopping(self) -> bool:
@@ -70,6 +78,8 @@ class Run:
     def child(self, module: str, timeout_s: float) -> Iterator[Child]:
         """A child process that is ended with the block, or with the run.
 
+        Before and after the block the reference work (:mod:`surgbench.processes.reference_work`) is timed in it.
+
         Args:
             module: What it runs.
             timeout_s: The longest silence that is waited for.
@@ -82,7 +92,10 @@ class Run:
         self._children.add(child)
         try:
             self.check()  # it may have been ended while the process began
+            self._calibration_ms += child.calibrate()
             yield child
+            with contextlib.suppress(ChildProblemError):  # nothing that the run was about
+                self._calibration_ms += child.calibrate()
         finally:
             self._children.discard(child)
             child.stop()

@@ -6,10 +6,8 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from surgbench.dataset.base import Unit
-from surgbench.files import canonical_json, sha256_text
+from surgbench.files import short_hash
 from surgbench.suite.asked import Conditions
-
-HASH_DIGITS = 16
 
 
 @dataclass(frozen=True)
@@ -84,7 +82,7 @@ class Settings:
     @property
     def hash(self) -> str:
         """Hash of the settings without dataset, unit and repeat."""
-        return sha256_text(canonical_json(self.spec()))[:HASH_DIGITS]
+        return short_hash(self.spec())
 
     @property
     def variant(self) -> str:
@@ -132,7 +130,7 @@ class Job:
     @property
     def hash(self) -> str:
         """Hash of the specification: two runs with the same one have the same estimates."""
-        return sha256_text(canonical_json(self.spec()))[:HASH_DIGITS]
+        return short_hash(self.spec())
 
     @property
     def path(self) -> str:

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from surgbench.compiled import sources
+import pytest
+
+from surgbench.compiled import compiled, sources
+from surgbench.errors import ConfigError
 from surgbench.silhouette import boundary, contour, kernel, spans
 
 
@@ -13,3 +16,9 @@ def test_compiled_code_is_bound_to_the_whole_packages_sources() -> None:
     expected = sources((Path(kernel.__file__).parent,))
     for function in (kernel.score, kernel.gradient, contour.trace, spans.cover, boundary.find_boundary):
         assert function._cache._cache_file._source_stamp == expected
+
+
+def test_a_package_that_is_not_there_is_no_dependency() -> None:
+    """A hash of nothing never changes: what was compiled would be kept whatever it calls."""
+    with pytest.raises(ConfigError, match="veiwpoint: holds no modules"):
+        compiled(calls="veiwpoint")(lambda value: 2 * value)

@@ -6,17 +6,29 @@ import json
 import pickle
 import random
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
-from commandline import STRANGERS, surgbench
+from commandline import AMPLE_S, STRANGERS, surgbench
 
+import surgbench.conformance.conduct as conducting
 from surgbench.conformance.checks import Outcome, checks_of, run_check
 from surgbench.conformance.conduct import conduct
 from surgbench.conformance.subject import Subject
+from surgbench.processes.child import Child
 from surgbench.registry import discover, find
 from surgbench.tasks.instrument.conformance.checks import CHECKS
 from surgbench.tasks.instrument.conformance.scenes import evaluator, make_play
+
+
+class PatientChild(Child):
+    """Waits as long as it is told to for the check that hangs, and for the others as long as they take."""
+
+    def send(self, *message: Any) -> None:
+        if message[:2] != ("check", "empty masks"):
+            self.timeout_s = AMPLE_S
+        super().send(*message)
 
 
 def stranger(name: str, **how: float) -> Subject:
@@ -28,7 +40,7 @@ def test_every_tracker_of_ours_keeps_the_rules(name: str) -> None:
     reason = find("tracker", name).unavailable
     if reason is not None:
         pytest.skip(reason)
-    subject, broken = Subject(name), []
+    subject, broken = Subject(name, budget_s=AMPLE_S), []
     for check in checks_of(subject):  # here, not in a child: its start takes as long as all checks of a quick tracker
         outcome = run_check(check, subject)
         subject = replace(subject, aids=subject.aids | ({outcome.needs} if outcome.needs else set()))
@@ -89,14 +101,15 @@ def test_a_refusal_is_no_failure() -> None:
 
 def test_who_needs_kinematics_is_checked_with_them() -> None:
     names = ["plain sequence", "empty masks", "readings", "kinematics", "two arms"]
-    outcomes = {outcome.check: outcome for outcome in conduct(stranger("NeedsKinematics"), 60.0, names=names)}
+    outcomes = {outcome.check: outcome for outcome in conduct(stranger("NeedsKinematics"), AMPLE_S, names=names)}
     assert outcomes["plain sequence"].status == "refused"
     assert outcomes["plain sequence"].message.startswith("needs kinematics (")
     assert [outcomes[name].status for name in ("empty masks", "two arms")] == ["ok", "ok"]
     assert outcomes["kinematics"].message.startswith("frames without: ")
 
 
-def test_a_crash_or_a_hang_fails_its_own_check_only() -> None:
+def test_a_crash_or_a_hang_fails_its_own_check_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(conducting, "Child", PatientChild)
     names = ["plain sequence", "full masks", "empty masks", "readings"]
     outcomes = conduct(stranger("BreaksDown"), 2.0, names=names)
     assert [outcome.status for outcome in outcomes] == ["ok", "FAILED", "FAILED", "ok"]
@@ -106,7 +119,7 @@ def test_a_crash_or_a_hang_fails_its_own_check_only() -> None:
 
 def test_who_fails_the_first_check_is_not_put_to_the_others() -> None:
     reported: list[Outcome] = []
-    outcomes = conduct(stranger("ReturnsNan"), 60.0, reported.append)
+    outcomes = conduct(stranger("ReturnsNan"), AMPLE_S, reported.append)
     assert [outcome.status for outcome in outcomes] == ["FAILED"] + ["not run"] * (len(CHECKS) - 1)
     assert reported == outcomes
 

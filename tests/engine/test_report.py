@@ -10,14 +10,16 @@ from typing import Any
 import numpy as np
 import pytest
 import typer
-from fabricate import failed, record, write
+from fabricate import as_written, failed, record, with_seed, write
 from rich.console import Console
 from typer.testing import CliRunner
 
 from surgbench.cli.report import report
 from surgbench.errors import DatasetError
+from surgbench.processes.reference import REFERENCE_MS
 from surgbench.records.reader import read_records
 from surgbench.report import render
+from surgbench.report.field import keys
 from surgbench.report.row import Row
 from surgbench.report.rows import read_rows
 from surgbench.tasks.instrument.rows import ERRORS, INSTRUMENT_COLUMNS
@@ -65,7 +67,7 @@ def only(rows: list[Row]) -> Row:
 
 def test_row_has_exactly_the_columns_of_the_design(runs: Path) -> None:
     for row in read_rows([runs]):
-        assert tuple(row) == INSTRUMENT_COLUMNS
+        assert tuple(row) == keys(INSTRUMENT_COLUMNS)
     assert len(INSTRUMENT_COLUMNS) == len(set(INSTRUMENT_COLUMNS)) == 19 + 9 + 9 * 3 + 4
 
 
@@ -114,6 +116,14 @@ def test_latency_is_the_median_over_all_frames(tmp_path: Path) -> None:
     assert row["latency_ms"] == np.median(pooled)
     assert row["latency_ms_p95"] == pytest.approx(np.percentile(pooled, 95))
     assert row["latency_keypoints_ms"] is None
+
+
+def test_the_calibration_ratio_is_the_median_of_the_records_by_the_reference_machines_time(tmp_path: Path) -> None:
+    assert only(read_rows([write(tmp_path / "old", record())]))["calibration_ratio"] is None
+    times = {"000-left": 3.0, "000-right": 2.0, "001-left": 1.0, "001-right": 7.0, "002-left": None}
+    records = [record(unit=unit, calibration_ms=ratio and ratio * REFERENCE_MS) for unit, ratio in times.items()]
+    row = only(read_rows([write(tmp_path / "new", *records)]))
+    assert row["calibration_ratio"] == pytest.approx(2.5)
 
 
 def test_lags_and_the_filters_time_are_in_rows_of_new_records_only(tmp_path: Path) -> None:
@@ -185,7 +195,7 @@ def test_a_sound_record_replaces_a_failed_one_of_the_same_run(tmp_path: Path) ->
     [
         record(unit="000"),
         record(dataset=("mini", "cd" * 32)),
-        record() | {"settings_hash": "0" * 16, "spec_hash": "0" * 16},
+        with_seed(1, record()),
     ],
     ids=["arms", "dataset", "settings"],
 )
@@ -270,12 +280,59 @@ def test_spoilt_record_is_named_with_its_key(tmp_path: Path, spoil: Any, names: 
     content = record()
     path = write(tmp_path, content) and next(tmp_path.rglob("*.json"))
     spoil(content)
-    path.write_text(json.dumps(content), encoding="utf-8")
+    path.write_text(json.dumps(as_written(content)), encoding="utf-8")
     with pytest.raises(DatasetError) as caught:
         read_rows([tmp_path])
     assert str(path) in str(caught.value)
     assert names in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def _zero_errors(content: dict[str, Any]) -> None:
+    content["errors"]["mask_error"] = [0.0] * len(content["errors"]["mask_error"])
+
+
+def _rename_variant(content: dict[str, Any]) -> None:
+    content["variant"] = "better"
+
+
+def _change_option(content: dict[str, Any]) -> None:
+    content["spec"]["tracker"]["options"]["iterations"] = 1
+
+
+def _unseal(content: dict[str, Any]) -> None:
+    del content["seal"]
+
+
+@pytest.mark.parametrize("edit", [_zero_errors, _rename_variant, _change_option, _unseal])
+def test_an_edited_record_is_not_believed(runs: Path, edit: Any) -> None:
+    path = next(runs.rglob("000-left-r0.json"))
+    content = json.loads(path.read_text())
+    edit(content)
+    path.write_text(json.dumps(content), encoding="utf-8")
+    with pytest.raises(DatasetError) as caught:
+        read_rows([runs])
+    assert str(caught.value).startswith(f"{path}: altered: ")
+    assert "run it again with: surgbench run … --again" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_how_a_record_is_laid_out_is_no_alteration(runs: Path) -> None:
+    rows = read_rows([runs])
+    for path in runs.rglob("*.json"):
+        path.write_text(json.dumps(json.loads(path.read_text()), indent=1), encoding="utf-8")
+    assert read_rows([runs]) == rows
+
+
+def test_records_without_a_seal_are_still_read_and_their_spec_is_checked(tmp_path: Path) -> None:
+    write(tmp_path, record())
+    path = next(tmp_path.rglob("*.json"))
+    old = {key: value for key, value in json.loads(path.read_text()).items() if key != "seal"}
+    path.write_text(json.dumps(old | {"format": "surgbench-record-1"}), encoding="utf-8")
+    assert only(read_rows([tmp_path]))["mask_error"] is not None
+    path.write_text(json.dumps(old | {"format": "surgbench-record-1", "spec": {**old["spec"], "seed": 7}}))
+    with pytest.raises(DatasetError, match="altered: its 'spec'"):
+        read_rows([tmp_path])
 
 
 def test_folder_without_records_is_named(tmp_path: Path) -> None:
@@ -296,9 +353,29 @@ def test_table_fits_and_shows_the_numbers(runs: Path, width: int) -> None:
 
 def test_table_shows_variants_where_names_are_the_same(tmp_path: Path) -> None:
     write(tmp_path / "a", record())
-    other = record() | {"settings_hash": "0" * 16, "spec_hash": "0" * 16, "variant": "readings"}
+    other = with_seed(1, record(), variant="readings")
     write(tmp_path / "b", other)
     assert "readings" in render.table(read_rows([tmp_path]), width=80)
+
+
+def test_two_plugins_of_one_name_can_be_told_apart(tmp_path: Path) -> None:
+    for folder, source in (("a", "a.py:Still@1a2b3c4d"), ("b", "b.py:Still@5e6f7a8b")):
+        content = record()
+        tracker = content["spec"]["tracker"] | {"source": source}
+        content |= {"spec": content["spec"] | {"tracker": tracker}, "settings_hash": source[-8:]}
+        write(tmp_path / folder, content)
+    rows = read_rows([tmp_path])
+    assert {row["variant"] for row in rows} == {f"none/truth kalman, cmaes@{digits}" for digits in ("1a2b3c", "5e6f7a")}
+    assert "cmaes@1a2b3c" in render.table(rows, width=80).replace("\n", "")
+    # What is only there once needs no hash.
+    assert only(read_rows([tmp_path / "a"]))["variant"] == "none/truth kalman"
+
+
+def test_rows_that_nothing_tells_apart_get_the_hash_of_their_settings(tmp_path: Path) -> None:
+    for seed in (1, 2):
+        write(tmp_path / str(seed), with_seed(seed, record()))
+    variants = {row["variant"] for row in read_rows([tmp_path])}
+    assert variants == {"none/truth kalman, settings 111111", "none/truth kalman, settings 222222"}
 
 
 def test_brackets_in_names_are_not_markup(tmp_path: Path) -> None:

@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from commandline import RUN, STRANGERS, records, surgbench
+from commandline import AMPLE_S, RUN, STRANGERS, kill_before, records, surgbench, wait_until
 
 from surgbench.dataset.open import open_as
 from surgbench.generators.generate import generate, plan_dataset
 from surgbench.generators.presets import load_preset
+from surgbench.processes.child import Child, ChildProblemError
+from surgbench.suite.claim import claim
 from surgbench.tasks.instrument.dataset import InstrumentDataset
+from surgbench.tasks.instrument.records import InstrumentFrames, InstrumentRecord
 from surgbench.tasks.instrument.replay import replay_traces
 
 FRAMES = 4
@@ -30,7 +33,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-TIMES_AND_MACHINE = ("latency", "initialise_s", "environment")
+TIMES_AND_MACHINE = ("latency", "initialise_s", "calibration_ms", "environment", "seal")
 
 
 def without_times(value: Any) -> Any:
@@ -47,9 +50,27 @@ def test_a_strangers_class_runs(dataset: Path, tmp_path: Path, capsys: pytest.Ca
         assert record["status"] == "ok"
         assert len(record["frames"]["state"]) == FRAMES
         assert record["frames"]["state"][0] == record["frames"]["start"][0]
+        assert record["calibration_ms"] > 0
         assert record["environment"]["packages"]["numpy"] == np.__version__
         assert record["spec"]["dataset"]["sha256"] == open_as(InstrumentDataset, dataset).hash
     assert "still" in capsys.readouterr().out
+
+
+def test_a_record_holds_what_its_model_declares(dataset: Path, tmp_path: Path) -> None:
+    surgbench(*RUN, "--dataset", dataset, "--tracker", f"{STRANGERS}:Still", "--out", tmp_path)
+    for record in records(tmp_path):
+        # Old versions rendered masks, and said how long that took.
+        assert set(record["frames"]) == set(InstrumentFrames.model_fields) - {"latency_masks_ms"}
+        assert set(record["errors"]) == set(InstrumentRecord.error_names)
+
+
+def test_a_record_that_could_not_be_read_is_not_written(
+    dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(InstrumentRecord, "error_names", ())
+    surgbench(*RUN, "--dataset", dataset, "--tracker", f"{STRANGERS}:Still", "--out", tmp_path, expect=2)
+    assert "is not declared by InstrumentRecord" in capsys.readouterr().err
+    assert not records(tmp_path)
 
 
 def test_truth_is_the_start_and_scores_perfectly_in_the_first_frame(dataset: Path, tmp_path: Path) -> None:
@@ -75,6 +96,24 @@ def test_the_particle_filter_runs_with_kinematics_and_says_so_without(dataset: P
 def test_observations_hold_no_truth(dataset: Path, tmp_path: Path) -> None:
     surgbench(*RUN, "--dataset", dataset, "--tracker", f"{STRANGERS}:Peeking", "--out", tmp_path)
     assert all(record["status"] == "ok" for record in records(tmp_path))
+
+
+def test_two_files_trackers_of_one_name_are_two_rows(
+    dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name, shift in (("a", 0.0), ("b", 0.01)):
+        text = f"def step(self, observation):\n        return observation.start + {shift}\n"
+        (tmp_path / f"{name}.py").write_text(
+            f"class Still:\n    name = 'still'\n\n    def reset(self, scene, state, rng): ...\n\n    {text}"
+        )
+    trackers = [word for name in "ab" for word in ("--tracker", f"{tmp_path / name}.py:Still")]
+    surgbench(*RUN, "--dataset", dataset, *trackers, "--out", tmp_path / "runs", "--sequences", 1)
+    hashes = {record["spec"]["tracker"]["source"].rpartition("@")[2][:6] for record in records(tmp_path)}
+    assert len(hashes) == 2
+    capsys.readouterr()
+    surgbench("report", tmp_path / "runs", "--format", "markdown")
+    page = capsys.readouterr().out
+    assert all(page.count(f"| still | keypoints observed, still@{digits} |") == 1 for digits in hashes)
 
 
 @pytest.mark.parametrize(
@@ -110,6 +149,14 @@ def test_a_hanging_tracker_is_given_up(dataset: Path, tmp_path: Path) -> None:
     command = (*RUN, "--dataset", dataset, "--tracker", f"{STRANGERS}:Hangs", "--out", tmp_path, "--jobs", "2")
     surgbench(*command, "--timeout", "5", expect=1)
     assert [record["status"] for record in records(tmp_path)] == ["timeout", "timeout"]
+
+
+def test_a_childs_start_is_waited_for_longer_than_an_answer() -> None:
+    with Child(1e-3, "surgbench.conformance.worker") as child:
+        child.send("ready")
+        assert child.ready() == ("ready",)
+        with pytest.raises(ChildProblemError, match=r"^no answer within 0\.001 s$"):
+            child.receive()
 
 
 def test_recorded_runs_are_not_run_again_and_failed_ones_are(
@@ -148,22 +195,11 @@ def test_rows_do_not_depend_on_jobs_order_or_company(dataset: Path, tmp_path: Pa
 
 
 def test_killed_in_the_middle_then_resumed_gives_the_same_rows(dataset: Path, tmp_path: Path) -> None:
-    """kill -9 after the first record, then the same command: equal but for times and machine."""
+    """kill -9 while the second record is written, then the same command: equal but for times and machine."""
     arguments = [*RUN, "--dataset", str(dataset), "--tracker", "cmaes", "--repeats", "3"]
     killed, whole = tmp_path / "killed", tmp_path / "whole"
-    environment = {**os.environ}
-    process = subprocess.Popen(
-        [sys.executable, "-c", "from surgbench.cli import main; main()", *arguments, "--out", str(killed)],
-        env=environment,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
-    deadline = time.monotonic() + 120
-    while not list(killed.rglob("*-r*.json")) and time.monotonic() < deadline:
-        time.sleep(0.02)
-    process.send_signal(signal.SIGKILL)
-    process.wait()
-    assert 0 < len(records(killed)) < 6
+    kill_before("*-r*.json", 2, *arguments, "--out", killed)
+    assert len(records(killed)) == 1
     surgbench(*arguments, "--out", killed)
     surgbench(*arguments, "--out", whole)
     assert len(records(whole)) == 6
@@ -306,6 +342,69 @@ def test_a_damaged_record_is_named(dataset: Path, tmp_path: Path, capsys: pytest
     assert "000-left-r0.json: damaged record" in capsys.readouterr().err
 
 
+def test_again_makes_the_asked_records_anew(dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    asked = (*RUN, "--dataset", dataset, "--tracker", f"{STRANGERS}:Still", "--out", tmp_path)
+    surgbench(*asked)
+    left, right = sorted(tmp_path.rglob("*-r0.json"))
+    sound = json.loads(left.read_text())
+    left.write_text(left.read_text().replace('"mask_error":[', '"mask_error":[0.0,', 1))
+    untouched = right.read_bytes()
+    surgbench(*asked, expect=2)
+    complaint = capsys.readouterr().err
+    assert f"{left}: altered: its content is not what was written" in complaint
+    assert "--again" in complaint
+    surgbench(*asked, "--sequences", 1, "--again")
+    assert "1 runs, 4 frames to track; 1 recorded already and made again" in capsys.readouterr().err
+    assert without_times(json.loads(left.read_text())) == without_times(sound)
+    assert right.read_bytes() == untouched
+    left.write_text(left.read_text()[:200])
+    surgbench(*asked, "--again")
+    assert "2 recorded already and made again" in capsys.readouterr().err
+    assert [record["status"] for record in records(tmp_path)] == ["ok", "ok"]
+    surgbench(*asked, "--again", "--dry-run")
+    assert capsys.readouterr().out.count(".json") == 2
+
+
+def test_two_calls_into_one_folder_share_the_work(dataset: Path, tmp_path: Path) -> None:
+    out, flag = tmp_path / "runs", tmp_path / "pids"
+    asked = (*RUN, "--dataset", dataset, "--tracker", f"{STRANGERS}:Signs", "--repeats", 3, "--out", out)
+    environment = {**os.environ, "SURGBENCH_TEST_FLAG": str(flag)}
+
+    pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    calls = [subprocess.Popen(command(*asked), env=environment, **pipes) for _ in range(2)]
+    said = [call.communicate(timeout=300) for call in calls]
+    assert [call.returncode for call in calls] == [0, 0], said
+    assert len(flag.read_text().split()) == 6
+    assert said[0][0] == said[1][0]
+    assert [record["status"] for record in records(out)] == ["ok"] * 6
+    assert not list(out.rglob("*.lock"))
+
+
+def test_what_another_call_leaves_undone_is_done_here(dataset: Path, tmp_path: Path) -> None:
+    """Its lock is held until it is gone; one that a killed call left behind holds nobody up."""
+    asked = (*RUN, "--dataset", dataset, "--tracker", f"{STRANGERS}:Still", "--out", tmp_path)
+    surgbench(*asked)
+    left, right = sorted(tmp_path.rglob("*-r0.json"))
+    left.unlink()
+    right.unlink()
+    right.with_name(f"{right.name}.lock").touch()
+    with claim(left) as ours:
+        assert ours
+        process = subprocess.Popen(command(*asked), stderr=subprocess.PIPE, text=True)
+        assert process.stderr is not None
+        said = ""
+        while "waiting for another call's runs" not in said:
+            line = process.stderr.readline()
+            assert line, said
+            said += line
+        assert right.exists()
+        assert not left.exists()
+    assert process.communicate(timeout=120)[1] is not None
+    assert process.returncode == 0
+    assert [record["status"] for record in records(tmp_path)] == ["ok", "ok"]
+    assert not list(tmp_path.rglob("*.lock"))
+
+
 def command(*arguments: object) -> list[str]:
     return [sys.executable, "-c", "from surgbench.cli import main; main()", *map(str, arguments)]
 
@@ -333,25 +432,19 @@ def workers(mark: str) -> set[int]:
 
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGINT])
 def test_no_tracker_outlives_an_interrupted_run(dataset: Path, tmp_path: Path, how: signal.Signals) -> None:
-    mark = str(tmp_path)
-    arguments = command(*RUN, "--dataset", dataset, "--tracker", f"{STRANGERS}:Spins", "--out", tmp_path)
-    process = subprocess.Popen(
-        arguments, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True, env={**os.environ, "MARK": mark}
-    )
-    deadline = time.monotonic() + 60
-    while not workers(mark) and time.monotonic() < deadline:
-        time.sleep(0.05)
+    mark, flag = str(tmp_path), tmp_path / "flag"
+    arguments = command(*RUN, "--dataset", dataset, "--tracker", f"{STRANGERS}:Spins", "--out", tmp_path / "runs")
+    environment = {**os.environ, "MARK": mark, "SURGBENCH_TEST_FLAG": str(flag)}
+    process = subprocess.Popen(arguments, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True, env=environment)
+    wait_until(lambda: flag.exists() or process.poll() is not None)
     assert workers(mark)
-    time.sleep(2.0)
     process.send_signal(how)
-    complaint = process.communicate(timeout=30)[1]
+    complaint = process.communicate(timeout=AMPLE_S)[1]
     if how == signal.SIGINT:
         assert process.returncode == 130
         assert complaint.splitlines()[-1] == "surgbench: interrupted; the same command again goes on from here"
         assert "Traceback" not in complaint
-    while workers(mark) and time.monotonic() < deadline:
-        time.sleep(0.05)
-    assert not workers(mark)
+    wait_until(lambda: not workers(mark))
 
 
 def test_a_folder_that_cannot_be_written_is_noticed_before_the_work(

@@ -76,6 +76,20 @@ def test_masks_become_a_dataset_without_truth(source: Path, tmp_path: Path) -> N
         sequence.clean_mask("left", 0)
 
 
+def test_what_is_damaged_while_it_is_imported_is_not_blessed(source: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    file = "sequences/000/observed/left/000000.png"
+
+    def damage(_: float) -> None:
+        written = tmp_path / ".out.importing" / file
+        written.write_bytes(written.read_bytes()[:-1])
+
+    import_masks(source, out, progress=damage)
+    (problem,) = validate(out)
+    assert problem.startswith(f"{out / file}: truncated, ")
+    assert not list(tmp_path.glob(".out*"))
+
+
 def test_images_joints_and_tips(full: Path, tmp_path: Path) -> None:
     import_masks(full, tmp_path / "out", arm="right", name="real")
     assert validate(tmp_path / "out") == []

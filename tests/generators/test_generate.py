@@ -6,25 +6,26 @@ import os
 import shutil
 import signal
 import subprocess
-import sys
-import time
 from collections import namedtuple
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from commandline import AMPLE_S, kill_before, stopped, wait_until
 
 from surgbench.camera import Camera
 from surgbench.config import locate, packaged_names, read_yaml
 from surgbench.contract import Mask
+from surgbench.dataset import writer
 from surgbench.dataset.open import open_as
 from surgbench.dataset.validate import validate
 from surgbench.errors import ConfigError, DatasetError, NotFoundError, SurgbenchError
+from surgbench.files import write_atomic
 from surgbench.generators import generate as module
 from surgbench.generators import resumable
 from surgbench.generators.corruption import corrupt
-from surgbench.generators.generate import Part, generate, plan_dataset
+from surgbench.generators.generate import Part, Plan, generate, plan_dataset
 from surgbench.generators.observations import observe_joints, observe_keypoints
 from surgbench.generators.presets import (
     CORRUPTION_LEVELS,
@@ -424,19 +425,9 @@ def test_two_jobs_write_what_one_writes(tmp_path: Path) -> None:
 def test_killed_and_started_again_gives_the_same_bytes(tmp_path: Path) -> None:
     text = f"name: few\npairs: 1\nframes: 30\ncamera: {SMALL.model_dump_json(exclude={'distortion'})}\n"
     (tmp_path / "preset.yaml").write_text(text)
-    program = (
-        "import sys; from pathlib import Path; "
-        "from surgbench.generators.generate import Part, generate, plan_dataset; "
-        "from surgbench.generators.presets import load_preset; "
-        "generate(plan_dataset(load_preset(Path(sys.argv[1]))), Path(sys.argv[2]))"
-    )
     killed = tmp_path / "killed"
-    process = subprocess.Popen([sys.executable, "-c", program, str(tmp_path / "preset.yaml"), str(killed)])
-    deadline = time.monotonic() + 60
-    while len(list(killed.rglob("*.png"))) < 20 and time.monotonic() < deadline and process.poll() is None:
-        time.sleep(0.005)
-    os.kill(process.pid, signal.SIGKILL)
-    process.wait()
+    kill_before("*.png", 21, "generate", tmp_path / "preset.yaml", "--out", killed, "--jobs", 1)
+    assert len(list(killed.rglob("*.png"))) == 20
     assert not (killed / "dataset.json").exists()
     with pytest.raises(DatasetError, match="not complete; run the same"):
         open_as(InstrumentDataset, killed)
@@ -455,26 +446,28 @@ def test_killed_and_started_again_gives_the_same_bytes(tmp_path: Path) -> None:
     assert validate(killed) == []
 
 
+def interrupted(command: list[str], out: Path, masks: int) -> tuple[int, str]:
+    """Ctrl-C once a command has written so many masks: its exit code, and what it says."""
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    wait_until(lambda: len(list(out.rglob("*.png"))) >= masks or process.poll() is not None)
+    os.killpg(process.pid, signal.SIGINT)
+    # Ends only when no process holds the pipe any more, a worker left behind neither.
+    _, said = process.communicate(timeout=AMPLE_S)
+    return process.returncode, said
+
+
 def test_ctrl_c_with_workers_leaves_no_wrong_mask(tmp_path: Path) -> None:
     (tmp_path / "preset.yaml").write_text("name: few\npairs: 1\nframes: 32\n")
     plan = plan_dataset(load_preset(tmp_path / "preset.yaml"))
     out = tmp_path / "interrupted"
-    command = [sys.executable, "-c", "import surgbench.cli; surgbench.cli.main()", "generate"]
+    command = stopped("wait", "dataset.json", 1, "generate", tmp_path / "preset.yaml", "--out", out, "--jobs", 2)
+    masks = sum(path.endswith(".png") for path in plan.paths)
     for _ in range(3):
         before = len(list(out.rglob("*.png")))
-        process = subprocess.Popen(
-            [*command, str(tmp_path / "preset.yaml"), "--out", str(out), "--jobs", "2"],
-            stderr=subprocess.PIPE,
-            text=True,
-            start_new_session=True,
-        )
-        deadline = time.monotonic() + 60
-        while len(list(out.rglob("*.png"))) < before + 9 and time.monotonic() < deadline and process.poll() is None:
-            time.sleep(0.005)
-        os.killpg(process.pid, signal.SIGINT)
-        # Ends only when no process holds the pipe any more, a worker left behind neither.
-        _, said = process.communicate(timeout=5)
-        assert process.returncode == 130
+        if before == masks:  # this machine does not come to it any sooner
+            break
+        code, said = interrupted(command, out, min(before + 9, masks))
+        assert code == 130
         assert "Traceback" not in said
         assert not (out / "dataset.json").exists()
     assert generate(plan, out)
@@ -498,28 +491,122 @@ def test_a_crash_after_some_frames_is_resumed_without_rendering_them_again(
     made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rendered: list[str] = []
-    write = module.write_atomic
 
     def failing(path: Path, data: bytes) -> None:
         rendered.append(path.name)
         if len([name for name in rendered if name.endswith(".png")]) > 15:
             raise RuntimeError("crash")
-        write(path, data)
+        write_atomic(path, data)
 
-    monkeypatch.setattr(module, "write_atomic", failing)
+    monkeypatch.setattr(writer, "write_atomic", failing)
     with pytest.raises(RuntimeError, match="crash"):
         generate(plan_dataset(FEW), tmp_path / "out")
     rendered.clear()
 
     def counting(path: Path, data: bytes) -> None:
         rendered.append(path.name)
-        write(path, data)
+        write_atomic(path, data)
 
-    monkeypatch.setattr(module, "write_atomic", counting)
+    monkeypatch.setattr(writer, "write_atomic", counting)
     assert generate(plan_dataset(FEW), tmp_path / "out")
     # 36 masks, of which two whole frames of six were there.
     assert len([name for name in rendered if name.endswith(".png")]) == 24
     assert contents(tmp_path / "out") == contents(made)
+
+
+def interrupt(plan: Plan, out: Path, after: int) -> None:
+    """Make a dataset in this process, but for what comes after so many frames."""
+
+    def stop(_: float) -> None:
+        nonlocal after
+        after -= 1
+        if not after:
+            raise RuntimeError("interrupted")
+
+    with pytest.raises(RuntimeError, match="interrupted"):
+        generate(plan, out, progress=stop)
+
+
+def masks_made(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Grows by the frame with every frame rendered."""
+    made: list[int] = []
+    render = module._Worker._frame
+
+    def counting(self: Any, sequence: str, frame: int, states: FloatArray) -> dict[str, bytes]:
+        made.append(frame)
+        files: dict[str, bytes] = render(self, sequence, frame, states)
+        return files
+
+    monkeypatch.setattr(module._Worker, "_frame", counting)
+    return made
+
+
+def test_what_was_damaged_between_two_goes_is_made_again(
+    made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out, plan = tmp_path / "out", plan_dataset(FEW)
+    interrupt(plan, out, after=5)
+    # Whole pictures, but not those that were written; and a table of another length.
+    shutil.copy(out / "truth/000/masks/left/000000.png", out / "truth/000/masks/right/000000.png")
+    (out / "truth/001/masks/both/000001.png").unlink()
+    (out / "truth/000/states.parquet").write_bytes(b"")
+    rendered = masks_made(monkeypatch)
+    assert generate(plan, out)
+    assert rendered == [0, 1, 2]
+    assert contents(out) == contents(made)
+
+
+def test_a_ledger_that_was_torn_costs_the_frame_that_it_lost(
+    made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out, plan = tmp_path / "out", plan_dataset(FEW)
+    interrupt(plan, out, after=5)
+    ledger = out / "generating" / "000-000000.jsonl"
+    ledger.write_bytes(ledger.read_bytes()[:-40])
+    rendered = masks_made(monkeypatch)
+    interrupt(plan, out, after=4)
+    assert rendered == [2]
+    # What was noted after the torn line counts.
+    assert generate(plan, out)
+    assert rendered == [2, 2]
+    assert contents(out) == contents(made)
+
+
+def test_what_no_ledger_names_is_made_again(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As in a folder that an earlier version has begun."""
+    out, plan = tmp_path / "out", plan_dataset(FEW)
+    interrupt(plan, out, after=5)
+    shutil.rmtree(out / "generating")
+    rendered = masks_made(monkeypatch)
+    assert generate(plan, out)
+    assert rendered == [0, 1, 2] * 2
+    assert contents(out) == contents(made)
+
+
+def test_what_is_damaged_after_it_was_written_is_not_blessed(made: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    files = [out / "truth/000/masks/left/000000.png", out / "instruments/large_needle_driver/instrument.yaml"]
+    files.append(out / "sequences/000/observations.parquet")
+
+    def damage(_: float) -> None:
+        for file in files:
+            file.write_bytes(file.read_bytes()[:-1] + b"?")
+
+    assert generate(plan_dataset(FEW), out, progress=damage)
+    # The manifest says what was meant.
+    assert (out / "dataset.json").read_bytes() == (made / "dataset.json").read_bytes()
+    assert validate(out) == [f"{file}: altered, its SHA-256 is not the one in dataset.json" for file in sorted(files)]
+
+
+def test_a_ledger_that_is_taken_away_meanwhile_is_one_line(tmp_path: Path) -> None:
+    out, plan = tmp_path / "out", plan_dataset(FEW)
+
+    def remove(_: float) -> None:
+        shutil.rmtree(out / "generating", ignore_errors=True)
+
+    with pytest.raises(DatasetError, match=r"^[^\n]*: not in the ledgers in [^\n]*; run the same command again[^\n]*$"):
+        generate(plan, out, progress=remove)
+    assert generate(plan, out)
 
 
 def test_complete_already(made: Path, tmp_path: Path) -> None:
@@ -604,16 +691,16 @@ def test_the_disk_estimate_covers_what_is_written(made: Path) -> None:
 
 
 def test_a_full_disk_in_the_middle_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    write, count = module.write_atomic, 0
+    count = 0
 
     def full(path: Path, data: bytes) -> None:
         nonlocal count
         count += 1
         if count > 15:
             raise OSError(28, "No space left on device", str(path))
-        write(path, data)
+        write_atomic(path, data)
 
-    monkeypatch.setattr(module, "write_atomic", full)
+    monkeypatch.setattr(writer, "write_atomic", full)
     with pytest.raises(
         SurgbenchError, match=r"^[^\n]*out: the disk is full; make room, then run the same command again"
     ):

@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-import os
-import signal
-import subprocess
-import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
-from commandline import surgbench
+from commandline import kill_before, surgbench
 
 from surgbench.dataset.open import open_as
 from surgbench.dataset.validate import validate
 from surgbench.errors import ConfigError, DatasetError
-from surgbench.generators.dispatch import load_wire_chaser, plan_preset
+from surgbench.generation import GenerationRequest
+from surgbench.generators.dispatch import plan_preset
 from surgbench.generators.presets import load_preset
 from surgbench.generators.resumable import generate
 from surgbench.generators.wire_chaser import job as module
@@ -27,6 +23,7 @@ from surgbench.generators.wire_chaser.presets import SHARES, Hand, Measurement, 
 from surgbench.generators.wire_chaser.scene import rest
 from surgbench.generators.wire_chaser.trial import make_trial, measure
 from surgbench.generators.wire_chaser.wire import WireShape, tool_axes
+from surgbench.generators.wire_chasers import load_wire_chaser
 from surgbench.geometry import FloatArray, inverse_transform, is_rigid, rotation_angle, rotation_vector
 from surgbench.randomness import generator
 from surgbench.tasks.viewpoint.dataset import ViewpointDataset
@@ -309,7 +306,8 @@ def test_presets_say_what_they_are() -> None:
     counts = [count * 0.0126 for count in WirePlan(full.model_copy(update={"trials": 200})).samples.values()]
     assert np.mean(counts) == pytest.approx(74.3, abs=3.0)
     assert np.std(counts) == pytest.approx(15.0, abs=2.5)  # the published 17.4, without its ends
-    assert plan_preset("wire-chaser-mini", sequences=2, frames=200).counts == "2 trials, 400 samples"
+    few = GenerationRequest(sequences=2, frames=200)
+    assert plan_preset("wire-chaser-mini", few).counts == "2 trials, 400 samples"
 
 
 @pytest.mark.parametrize(
@@ -339,7 +337,7 @@ def test_presets_of_one_task_are_not_those_of_the_other(capsys: pytest.CaptureFi
     with pytest.raises(ConfigError, match=r"a preset of the viewpoint task; expected one of the instrument task"):
         load_preset("wire-chaser")
     surgbench("generate", "wire-chaser", "--out", tmp_path / "a", "--corruption", "none", expect=2)
-    assert "'wire-chaser' is of the viewpoint task, which has no masks" in capsys.readouterr().err
+    assert "wire-chaser.yaml' is of the viewpoint task, which has no masks" in capsys.readouterr().err
     surgbench("generate", "wire-chaser", "--out", tmp_path / "a", "--sequences", 0, expect=2)
     assert "--sequences: input should be greater than or equal to 1, not 0" in capsys.readouterr().err
 
@@ -386,23 +384,39 @@ def test_a_crash_is_resumed_with_the_trial_in_work(tmp_path: Path, monkeypatch: 
         generate(WirePlan(ANY), tmp_path / "out")
     # What a power cut may leave.
     (tmp_path / "out" / "truth/000/scene.json").write_bytes(b"")
+    # What a version before the ledgers left, which is not read.
+    (tmp_path / "out" / "generating" / "000.json").write_text("{}")
     assert generate(WirePlan(ANY), tmp_path / "out")
     assert made == ["000", "001", "000", "001", "002"]
     assert generate(WirePlan(ANY), tmp_path / "undisturbed")
     assert contents(tmp_path / "out") == contents(tmp_path / "undisturbed")
 
 
+def test_what_is_damaged_after_it_was_written_is_not_blessed(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+
+    def damage(_: float) -> None:
+        (out / "truth/000/scene.json").write_bytes(b"{}")
+
+    assert generate(WirePlan(ANY), out, progress=damage)
+    assert validate(out) == [f"{out}/truth/000/scene.json: truncated, 2 bytes; dataset.json says {size(out)}"]
+    assert generate(WirePlan(ANY), tmp_path / "undisturbed")
+    name = "dataset.json"
+    assert (out / name).read_bytes() == (tmp_path / "undisturbed" / name).read_bytes()
+
+
+def size(out: Path) -> int:
+    """What the manifest says of the scene of the first trial."""
+    bytes_: int = open_as(ViewpointDataset, out).manifest.files["truth/000/scene.json"].bytes
+    return bytes_
+
+
 def test_killed_and_started_again_as_a_user_does(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     text = "task: viewpoint\nname: few\ntrials: 25\nsamples: 200\nlevel: custom\nshare: [0, 1]\n"
     (tmp_path / "preset.yaml").write_text(text)
     out = tmp_path / "out"
-    command = [sys.executable, "-c", "import surgbench.cli; surgbench.cli.main()", "generate"]
-    process = subprocess.Popen([*command, str(tmp_path / "preset.yaml"), "--out", str(out), "--jobs", "1"])
-    deadline = time.monotonic() + 60
-    while len(list(out.rglob("scene.json"))) < 3 and time.monotonic() < deadline and process.poll() is None:
-        time.sleep(0.005)
-    os.kill(process.pid, signal.SIGKILL)
-    process.wait()
+    kill_before("scene.json", 4, "generate", tmp_path / "preset.yaml", "--out", out, "--jobs", 1)
+    assert len(list(out.rglob("scene.json"))) == 3
     assert not (out / "dataset.json").exists()
     with pytest.raises(DatasetError, match="not complete; run the same"):
         open_as(ViewpointDataset, out)

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 import trimesh
-from fabricate import failed, record, write
+from fabricate import failed, record, with_seed, write
 from support import rigid_instrument
 from typer import Typer
 from typer.testing import CliRunner
@@ -300,11 +300,24 @@ def test_units_of_two_datasets_do_not_overwrite_each_other(tmp_path: Path, runs:
 
 
 def test_rows_of_one_name_get_their_variant(dataset: InstrumentDataset, tmp_path: Path) -> None:
-    second = {"settings_hash": "1" * 16, "spec_hash": "1" * 16, "variant": "readings"}
-    runs = write(tmp_path / "runs", run_of(dataset, "cmaes", [50.0]), run_of(dataset, "cmaes", [50.0], **second))
+    first = run_of(dataset, "cmaes", [50.0])
+    runs = write(tmp_path / "runs", first, with_seed(1, first, variant="readings"))
     assert {shot.title for shot in make_shots(read_records_of(InstrumentRecord, [runs]))} == {
         "cmaes (none/random kalman)",
         "cmaes (readings)",
+    }
+
+
+def test_plugins_of_one_name_get_the_start_of_their_hashes(dataset: InstrumentDataset, tmp_path: Path) -> None:
+    runs = []
+    for name, digits in (("a", "1a2b3c4d"), ("b", "5e6f7a8b")):
+        content = run_of(dataset, "cmaes", [50.0])
+        tracker = content["spec"]["tracker"] | {"source": f"{name}.py:Still@{digits}"}
+        content |= {"spec": content["spec"] | {"tracker": tracker}, "settings_hash": digits}
+        runs.append(write(tmp_path / name, content))
+    assert {shot.title for shot in make_shots(read_records_of(InstrumentRecord, runs))} == {
+        "cmaes (none/random kalman, cmaes@1a2b3c)",
+        "cmaes (none/random kalman, cmaes@5e6f7a)",
     }
 
 

@@ -26,6 +26,7 @@ from bodies import (
     two_arm_states,
     zigzag,
 )
+from commandline import AMPLE_S
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from support import resting_state, rigid_instrument
@@ -375,7 +376,7 @@ with ThreadPoolExecutor(2) as pool:
 
 def test_threads_may_share_an_evaluator() -> None:
     """In a process of its own: two threads in the same scratch would write beyond its end."""
-    done = subprocess.run([sys.executable, "-c", SHARED], capture_output=True, text=True, timeout=120, check=False)
+    done = subprocess.run([sys.executable, "-c", SHARED], capture_output=True, text=True, timeout=AMPLE_S, check=False)
     assert done.returncode == 0, done.stderr[-500:]
 
 
@@ -396,7 +397,7 @@ def test_a_forked_process_has_threads_of_its_own(small_camera: Camera) -> None:
 
     child = multiprocessing.get_context("fork").Process(target=count)
     child.start()
-    child.join(20)
+    child.join(AMPLE_S)
     code = child.exitcode
     child.kill()
     assert code == 0

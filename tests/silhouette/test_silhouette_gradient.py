@@ -19,9 +19,9 @@ from bodies import (
 )
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from scipy.spatial import KDTree
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
+from scipy.spatial import KDTree
 from support import resting_state, rigid_instrument
 
 from surgbench.camera import NEAR_M, Camera

@@ -11,12 +11,17 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from commandline import STRANGERS, records, surgbench
+from commandline import AMPLE_S, STRANGERS, records, surgbench
 
 from surgbench.dataset.open import open_dataset
+from surgbench.processes.child import Child
+from surgbench.report.field import keys
 from surgbench.report.rows import read_rows
+from surgbench.suite import running
 from surgbench.tasks.viewpoint.dataset import ViewpointDataset
+from surgbench.tasks.viewpoint.records import ViewpointFrames, ViewpointRecord
 from surgbench.tasks.viewpoint.rows import VIEWPOINT_COLUMNS
+from surgbench.tasks.viewpoint.worker import ViewpointSetup
 from surgbench.viewpoint.scores import NO_GO_TOLERANCE_M, naive_violations
 from surgbench.viewpoint.simulator import make_scene
 
@@ -46,6 +51,8 @@ def test_a_record_holds_the_course_and_its_errors(dataset: Path, runs: Path) -> 
         assert (record["status"], record["unit_frames"]) == ("ok", SAMPLES)
         assert record["spec"]["task"] == "viewpoint"
         frames, errors = record["frames"], record["errors"]
+        assert set(frames) == set(ViewpointFrames.model_fields) - {"tags_px"}  # no picture was taken
+        assert set(errors) == set(ViewpointRecord.error_names)
         assert {len(values) for values in [*frames.values(), *errors.values()]} == {SAMPLES}
         assert np.isfinite(np.array(frames["joints"])).all()
         assert not any(frames["limit_violation"])
@@ -65,7 +72,7 @@ def test_rows_are_of_subsets_that_make_up_the_whole(runs: Path) -> None:
     whole, free, bound = by_subset.values()
     assert whole["samples"] == 2 * SAMPLES == free["samples"] + bound["samples"]
     assert whole["constrained_percent"] == pytest.approx(100 * bound["samples"] / whole["samples"])
-    assert set(VIEWPOINT_COLUMNS) <= set(whole)
+    assert set(keys(VIEWPOINT_COLUMNS)) <= set(whole)
     assert whole["no_go_violations"] == whole["limit_violations"] == whole["clipped_commands"] == 0
     own = [record["frames"] for record in records(runs) if record["spec"]["row_id"] == "gaze"]
     times = np.concatenate([np.array(frames["latency_ms"])[np.array(frames["rules"]) != 0] for frames in own])
@@ -119,10 +126,10 @@ def test_reports(runs: Path, form: str, capsys: pytest.CaptureFixture[str]) -> N
     assert "autocam" in out
     if form == "csv":
         lines = list(csv.DictReader(out.splitlines()))
-        assert tuple(lines[0]) == VIEWPOINT_COLUMNS
+        assert tuple(lines[0]) == keys(VIEWPOINT_COLUMNS)
         assert {line["subset"] for line in lines} >= {"all", "unconstrained", "constrained"}
     elif form == "json":
-        assert set(json.loads(out)[0]) == set(VIEWPOINT_COLUMNS)
+        assert set(json.loads(out)[0]) == set(keys(VIEWPOINT_COLUMNS))
     else:
         assert "VVA" in out
 
@@ -144,6 +151,15 @@ def test_registration_and_the_missing_face_are_settings(dataset: Path, runs: Pat
     assert rigid["pf_true_deg"] < published["pf_true_deg"]
 
 
+class PatientChild(Child):
+    """Waits as long as it is told to for the controller that hangs, and for the others as long as they take."""
+
+    def send(self, *message: Any) -> None:
+        if isinstance(message[0], ViewpointSetup) and message[0].tracker.name != "dozing":
+            self.timeout_s = AMPLE_S
+        super().send(*message)
+
+
 @pytest.mark.parametrize(
     ("name", "status", "message", "steps"),
     [
@@ -153,8 +169,9 @@ def test_registration_and_the_missing_face_are_settings(dataset: Path, runs: Pat
     ],
 )
 def test_a_controller_that_goes_wrong_costs_its_own_row(
-    dataset: Path, tmp_path: Path, name: str, status: str, message: str, steps: int
+    dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, status: str, message: str, steps: int
 ) -> None:
+    monkeypatch.setattr(running, "Child", PatientChild)
     surgbench(
         *("run", "--dataset", dataset, "--tracker", f"{STRANGERS}:{name}", "--tracker", f"{STRANGERS}:Watching"),
         *("--sequences", 1, "--timeout", 5, "--out", tmp_path),

@@ -2,23 +2,42 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from surgbench.report.column import ROW, VARIANT, Column
+
+MASK = Column("mask_error", "mask error", "", 3, short="mask\nerror", best=True)
+TRUE_MASK = Column("mask_error_true", "true mask error", "", 3, short="true\nmask", best=True, from_width=100)
+ROTATION = Column("rotation_error_rad", "rotation", "rad", 3, short="rot.\nrad", best=True)
+TRANSLATION = Column("translation_error_m", "translation", "mm", 2, 1000.0, short="trans.\nmm", best=True)
+TIPS = Column("tip_error_m", "tips", "mm", 2, 1000.0, short="tips\nmm", best=True, from_width=100)
+JOINTS = tuple(Column(f"q{n}_error_rad", f"q{n}", "rad", 3, short=f"q{n}\nrad", best=True) for n in (1, 2, 3))
+KEYPOINTS = Column("keypoint_error_px", "keypoints", "px", 1, short="tips\npx", best=True)
 
 COLUMNS = (
     ROW,
     VARIANT,
-    Column("sequences", "seq.", "sequences"),
-    Column("coverage", "done\n%", "done [%]", 0, 100.0),
-    Column("mask_error", "mask\nerror", "mask error", 3, best=True),
-    Column("mask_error_true", "true\nmask", "true mask error", 3, best=True, from_width=100),
-    Column("rotation_error_rad", "rot.\nrad", "rotation [rad]", 3, best=True),
-    Column("translation_error_m", "trans.\nmm", "translation [mm]", 2, 1000.0, best=True),
-    Column("tip_error_m", "tips\nmm", "tips [mm]", 2, 1000.0, best=True, from_width=100),
-    Column("q1_error_rad", "q1\nrad", "q1 [rad]", 3, best=True),
-    Column("q2_error_rad", "q2\nrad", "q2 [rad]", 3, best=True),
-    Column("q3_error_rad", "q3\nrad", "q3 [rad]", 3, best=True),
-    Column("keypoint_error_px", "tips\npx", "keypoints [px]", 1, best=True),
-    Column("start_lag_ms", "start\nlag ms", "start lag [ms]", 1, from_width=130),
-    Column("latency_ms", "time\nms", "latency [ms]", 1, best=True),
-    Column("latency_ms_p95", "p95\nms", "p95 [ms]", 1, from_width=100),
+    Column("sequences", "sequences", short="seq."),
+    Column("coverage", "done", "%", 0, 100.0, short="done\n%"),
+    MASK,
+    TRUE_MASK,
+    ROTATION,
+    TRANSLATION,
+    TIPS,
+    *JOINTS,
+    KEYPOINTS,
+    Column("start_lag_ms", "start lag", "ms", 1, short="start\nlag ms", from_width=130),
+    Column("latency_ms", "latency", "ms", 1, short="time\nms", best=True),
+    Column("latency_ms_p95", "p95", "ms", 1, short="p95\nms", from_width=100),
 )
+
+# Reproduced tables, beside published figures of as many digits.
+PAGE_TIME = Column("latency_optimise_ms", "time", "ms", 2)
+PAGE_TIME_P95 = Column("latency_ms_p95", "p95", "ms", 2)
+_PAGE_ROTATION, _PAGE_MASK, _PAGE_TRUE_MASK, *_PAGE_JOINTS = (
+    replace(column, decimals=4) for column in (ROTATION, MASK, TRUE_MASK, *JOINTS)
+)
+_PAGE_KEYPOINTS = replace(KEYPOINTS, decimals=2)
+PAGE_POSE = (_PAGE_ROTATION, TRANSLATION, TIPS, *_PAGE_JOINTS)
+PAGE_ERRORS = (*PAGE_POSE, _PAGE_MASK, _PAGE_TRUE_MASK, _PAGE_KEYPOINTS)
+PUBLISHED = (_PAGE_ROTATION, TRANSLATION, *_PAGE_JOINTS, _PAGE_MASK, _PAGE_KEYPOINTS, PAGE_TIME)

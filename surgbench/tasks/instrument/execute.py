@@ -79,7 +79,7 @@ def execute(job: Job, dataset: InstrumentDataset, run: Run) -> dict[str, Any]:
     try:
         with run.child(WORKER, settings.conditions.timeout_s) as child:
             child.send("setup", child_setup(job, data.scene()))
-            child.receive()
+            child.ready()
             for frame in range(job.frames):
                 run.check()
                 mask = data.sequence.mask(data.unit.kind, frame)

@@ -5,14 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from surgbench.report.column import NO_VALUE
 from surgbench.report.figures import FIGURE_PNG
 from surgbench.report.markdown import QUICK_WARNING, escape, failure_lines, markdown_table
 from surgbench.report.row import Row
-from surgbench.reproduce.compare import Comparison, Measure, compare
+from surgbench.reproduce.compare import Comparison, compare
 from surgbench.reproduce.published import Published
 from surgbench.reproduce.results import Results
 from surgbench.reproduce.table import Block, Definition, Table
-from surgbench.tasks.instrument.measures import ABOVE_FLOOR, ALL, PUBLISHED, TIME, TIPS
+from surgbench.tasks.instrument.columns import PAGE_ERRORS, PAGE_POSE, PAGE_TIME, PAGE_TIME_P95, PUBLISHED, TIPS
 
 READING = (
     "Errors are means over sequences (each arm is one) ± their standard error, after the paper's rule for the 180° "
@@ -115,12 +116,12 @@ def _dataset(block: Block, dataset: dict[str, Any]) -> str:
 
 def _block_table(rows: Sequence[Row]) -> str:
     partly = any(row["coverage"] < 1 for row in rows)
-    headings = ["method", "row id", *(measure.heading for measure in (*ALL, TIME)), "p95 [ms]"]
+    headings = ["method", "row id", *(column.heading for column in (*PAGE_ERRORS, PAGE_TIME, PAGE_TIME_P95))]
     lines = [headings + (["sequences × frames"] if partly else [])]
     for row in rows:
         cells = [escape(row["label"]), f"`{row['row_id']}`"]
-        cells += [_with_error(measure, row[measure.key], row[f"{measure.key}_sem"]) for measure in ALL]
-        cells += [TIME.text(row[TIME.key]), TIME.text(row["latency_ms_p95"])]
+        cells += [column.with_spread(row[column.key], row[f"{column.key}_sem"]) for column in PAGE_ERRORS]
+        cells += [column.text(row[column.key]) for column in (PAGE_TIME, PAGE_TIME_P95)]
         if partly:
             frames = row["frames"] / row["sequences"] / row["repeats"]
             cells.append(f"{row['sequences']} × {frames:g}" if frames else row["status"])
@@ -130,18 +131,17 @@ def _block_table(rows: Sequence[Row]) -> str:
 
 def _comparison_table(comparisons: Sequence[Comparison]) -> str:
     """Three lines a row: published, ours, and their ratio, bold where ours is no worse."""
-    measures = [
-        measure for measure in (*ALL, TIME) if any(pair.measure == measure for one in comparisons for pair in one.pairs)
-    ]
+    compared = {pair.measure for one in comparisons for pair in one.pairs}
+    measures = [column for column in (*PAGE_ERRORS, PAGE_TIME) if column in compared]
     lines = [["method", "", *(measure.heading for measure in measures)]]
     for one in comparisons:
         pairs = {pair.measure: pair for pair in one.pairs}
         published, ours, ratio = [], [], []
         for measure in measures:
             pair = pairs.get(measure)
-            published.append("–" if pair is None else measure.text(pair.published))
-            ours.append("–" if pair is None else _with_error(measure, pair.ours, pair.sem))
-            text = "–" if pair is None or pair.ratio is None else _ratio(pair.ratio)
+            published.append(NO_VALUE if pair is None else measure.text(pair.published))
+            ours.append(NO_VALUE if pair is None else measure.with_spread(pair.ours, pair.sem))
+            text = NO_VALUE if pair is None or pair.ratio is None else _ratio(pair.ratio)
             ratio.append(f"**{text}**" if pair is not None and pair.met else text)
         # A method of ours stands beside another method's figures.
         whose = "published" if one.row.published == one.row.id else f"published, `{one.row.published}`"
@@ -151,14 +151,14 @@ def _comparison_table(comparisons: Sequence[Comparison]) -> str:
 
 def _floor_table(block: Block, rows: Sequence[Row]) -> str:
     found = {row["row_id"]: row for row in rows}
-    lines = [["method", "floor", *(measure.name for measure in ABOVE_FLOOR)]]
+    lines = [["method", "floor", *(column.name for column in PAGE_POSE)]]
     for row in block.rows:
         if row.floor is None:
             continue
         ours, floor = found[row.id], found[row.floor]
         ratios = [
-            _ratio(ours[measure.key] / floor[measure.key]) if ours[measure.key] and floor[measure.key] else "–"
-            for measure in ABOVE_FLOOR
+            _ratio(ours[column.key] / floor[column.key]) if ours[column.key] and floor[column.key] else NO_VALUE
+            for column in PAGE_POSE
         ]
         lines.append([escape(row.label), f"`{row.floor}`", *ratios])
     return markdown_table(lines, text_columns=2) if len(lines) > 1 else ""
@@ -166,14 +166,14 @@ def _floor_table(block: Block, rows: Sequence[Row]) -> str:
 
 def _gain_table(block: Block, results: Results) -> str:
     found = {row["row_id"]: row for row in results.rows}
-    lines = [["method", "against", *(measure.name for measure in ABOVE_FLOOR), "better in"]]
+    lines = [["method", "against", *(column.name for column in PAGE_POSE), "better in"]]
     for row in block.rows:
         if row.against is None:
             continue
         ours, other = found[row.id], found[row.against]
         changes = [
-            _percent(ours[measure.key] / other[measure.key] - 1.0) if ours[measure.key] and other[measure.key] else "–"
-            for measure in ABOVE_FLOOR
+            _percent(ours[column.key] / other[column.key] - 1.0) if ours[column.key] and other[column.key] else NO_VALUE
+            for column in PAGE_POSE
         ]
         lines.append([escape(row.label), f"`{row.against}`", *changes, _better_in(row.id, row.against, results)])
     return markdown_table(lines, text_columns=2) if len(lines) > 1 else ""
@@ -192,10 +192,6 @@ def _better_in(row_id: str, against: str, results: Results) -> str:
         if id_ == row_id and (against, unit, repeat) in errors
     ]
     return f"{sum(ours < other for ours, other in pairs)} of {len(pairs)}"
-
-
-def _with_error(measure: Measure, value: float | None, sem: float | None) -> str:
-    return measure.text(value) + ("" if sem is None else f" ± {measure.text(sem)}")
 
 
 def _ratio(value: float) -> str:

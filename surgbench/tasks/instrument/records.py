@@ -8,6 +8,7 @@ import numpy as np
 from pydantic import model_validator
 
 from surgbench.geometry import FloatArray
+from surgbench.metrics import POSE_ERRORS
 from surgbench.records.format import Frames, Number, Plug, Record, RecordSpec
 
 PER_ARM = ("jitter", "lag_ms", "start_lag_ms")  # errors that have one value for all frames together
@@ -34,6 +35,7 @@ class InstrumentRecordSpec(RecordSpec):
 class InstrumentFrames(Frames):
     """Per-frame results of an instrument tracker."""
 
+    start: list[list[float]] = []
     state: list[list[float]] = []
     confidence: list[Number] = []
     lost: list[bool] = []
@@ -59,6 +61,7 @@ class InstrumentRecord(Record):
     """One run of an instrument tracker."""
 
     whole: ClassVar[tuple[str, ...]] = PER_ARM
+    error_names: ClassVar[tuple[str, ...]] = (*POSE_ERRORS, "mask_error", "mask_error_true", *PER_ARM)
 
     spec: InstrumentRecordSpec
     frames: InstrumentFrames

@@ -4,18 +4,25 @@ from __future__ import annotations
 
 from surgbench.geometry import FloatArray
 from surgbench.metrics import POSE_ERRORS
+from surgbench.report.field import count, flag, number, text
 from surgbench.report.row import COMMON_COLUMNS, Row, median, pooled
 from surgbench.report.summary import summarise
 from surgbench.tasks.instrument.records import PER_ARM, InstrumentRecord
 
-SETTING_COLUMNS = ("arms", "iterations", "readings", "initialiser", "keypoints", "filter", "floor", "views", "level")
+SETTING_COLUMNS = (
+    *text("arms"),
+    *count("iterations"),
+    *text("readings", "initialiser", "keypoints", "filter"),
+    *flag("floor"),
+    *count("views"),
+    *text("level"),
+)
 ERRORS = (*POSE_ERRORS[:-1], "mask_error", "mask_error_true", POSE_ERRORS[-1])
 INSTRUMENT_COLUMNS = (
     *COMMON_COLUMNS,
     *SETTING_COLUMNS,
-    *(f"{error}{suffix}" for error in ERRORS for suffix in ("", "_std", "_sem")),
-    *PER_ARM,
-    "lost_frames",
+    *number(*(f"{error}{suffix}" for error in ERRORS for suffix in ("", "_std", "_sem")), *PER_ARM),
+    *count("lost_frames"),
 )
 
 
@@ -27,6 +34,7 @@ def instrument_row(head: Row, records: list[InstrumentRecord]) -> Row:
         records: All of them.
     """
     spec = records[0].spec
+    iterations = spec.tracker.options.get("iterations")  # of a stranger's tracker it may be anything
     row = {
         **head,
         "latency_optimise_ms": median(pooled(records, "latency_optimise_ms")),
@@ -34,7 +42,7 @@ def instrument_row(head: Row, records: list[InstrumentRecord]) -> Row:
         "latency_masks_ms": median(pooled(records, "latency_masks_ms")),
         "latency_filter_ms": median(pooled(records, "latency_filter_ms")),
         "arms": "single" if len(spec.arms) == 1 else "dual",
-        "iterations": spec.tracker.options.get("iterations"),
+        "iterations": iterations if isinstance(iterations, int) else None,
         "readings": spec.readings,
         "initialiser": spec.initialiser.name,
         "keypoints": spec.keypoints.name,

@@ -11,14 +11,14 @@ from surgbench.report.row import Row
 from surgbench.reproduce.results import BlockWork
 from surgbench.reproduce.sheet import Sheet
 from surgbench.reproduce.table import Definition
+from surgbench.tasks.instrument.columns import PUBLISHED
 from surgbench.tasks.instrument.dataset import InstrumentDataset
 from surgbench.tasks.instrument.difficulty import difficulty
 from surgbench.tasks.instrument.figure import draw
 from surgbench.tasks.instrument.fingerprint import sequence_head_sha256
-from surgbench.tasks.instrument.measures import PUBLISHED
 from surgbench.tasks.instrument.page import markdown
 from surgbench.tasks.instrument.records import PER_ARM, InstrumentRecord
-from surgbench.tasks.instrument.rows import ERRORS, INSTRUMENT_COLUMNS, SETTING_COLUMNS
+from surgbench.tasks.instrument.rows import ERRORS, INSTRUMENT_COLUMNS
 
 
 def _describe(dataset: InstrumentDataset, frames: int) -> dict[str, Any]:
@@ -47,7 +47,6 @@ def _draw(definition: Definition, blocks: Sequence[BlockWork], folder: Path) -> 
 
 INSTRUMENT_SHEET = Sheet(
     columns=INSTRUMENT_COLUMNS,
-    settings=frozenset(SETTING_COLUMNS) - {"iterations", "views", "floor"},
     errors=(*ERRORS, *PER_ARM),
     whole=PER_ARM,
     counts=("lost_frames",),

@@ -6,18 +6,19 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from surgbench.conformance.subject import Check
-from surgbench.report.column import Column
-from surgbench.report.row import Row
-from surgbench.report.video_options import VideoOptions
-from surgbench.reproduce.sheet import Sheet
-from surgbench.suite.asked import Conditions
-from surgbench.suite.running import Run
-from surgbench.suite.settings import Job
 from surgbench.task import Task
-from surgbench.tasks.instrument.asked import InstrumentRow
 
 if TYPE_CHECKING:
+    from surgbench.conformance.subject import Check
+    from surgbench.report.column import Column
+    from surgbench.report.field import Field
+    from surgbench.report.row import Row
+    from surgbench.report.video_options import VideoOptions
+    from surgbench.reproduce.sheet import Sheet
+    from surgbench.suite.asked import Conditions
+    from surgbench.suite.running import Run
+    from surgbench.suite.settings import Job
+    from surgbench.tasks.instrument.asked import InstrumentRow
     from surgbench.tasks.instrument.dataset import InstrumentDataset
     from surgbench.tasks.instrument.format import InstrumentManifest
     from surgbench.tasks.instrument.plan import InstrumentSettings
@@ -56,6 +57,8 @@ class InstrumentTask(Task):
     @property
     def row(self) -> type[InstrumentRow]:
         """Initialiser, filter, keypoint source, readings, view."""
+        from surgbench.tasks.instrument.asked import InstrumentRow
+
         return InstrumentRow
 
     def complete(self, row: InstrumentRow, conditions: Conditions, dataset: InstrumentDataset) -> InstrumentSettings:
@@ -78,7 +81,7 @@ class InstrumentTask(Task):
         return InstrumentRecord
 
     @property
-    def columns(self) -> tuple[str, ...]:
+    def columns(self) -> tuple[Field, ...]:
         """Settings, errors, jitter, lags."""
         from surgbench.tasks.instrument.rows import INSTRUMENT_COLUMNS
 

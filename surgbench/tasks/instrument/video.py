@@ -28,6 +28,7 @@ from surgbench.report.drawing import (
     write_note,
 )
 from surgbench.report.movie import spread_frames, write_video
+from surgbench.report.telling import telling_variants
 from surgbench.report.video_options import VideoOptions
 from surgbench.tasks.instrument.records import InstrumentRecord
 from surgbench.tasks.instrument.scenery import Scenery, Shot
@@ -277,11 +278,13 @@ def draw(
 
 def make_shots(records: Sequence[InstrumentRecord]) -> list[Shot]:
     """Records of one unit with titles that tell them apart, and colours."""
-    ids = [record.spec.row_id for record in records]
+    by_id: dict[str, list[InstrumentRecord]] = {}
+    for record in records:
+        by_id.setdefault(record.spec.row_id, []).append(record)
     shots = []
     for number, record in enumerate(records):
         row_id = record.spec.row_id
-        if ids.count(row_id) > 1:
-            row_id = f"{row_id} ({record.variant or record.settings_hash[:6]})"
+        if len(by_id[row_id]) > 1:
+            row_id = f"{row_id} ({telling_variants(by_id[row_id])[record.settings_hash]})"
         shots.append(Shot(record, row_id, ESTIMATE_COLOURS[number % len(ESTIMATE_COLOURS)]))
     return shots

@@ -2,25 +2,67 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from surgbench.report.column import ROW, VARIANT, Column
+
+VVA = Column("vva_deg", "VVA", "deg", 2, short="VVA\ndeg", best=True)
+FD = Column("fd_mm", "FD", "mm", 2, short="FD\nmm", best=True)
+PF = Column("pf_deg", "PF", "deg", 2, short="PF\ndeg", best=True)
+AN = Column("an_deg", "AN", "deg", 1, short="AN\ndeg", best=True)
+PN = Column("pn_mm", "PN", "mm", 1, short="PN\nmm", best=True)
+TRUE_VVA = Column("vva_true_deg", "true VVA", "deg", 2, short="true\nVVA", best=True, from_width=90)
+P999 = Column("latency_ms_p999", "p99.9", "ms", 3, short="p99.9\nms", from_width=90)
 
 # Of viewpoint controllers; the page has every subset of the samples, the terminal all of them together.
 COLUMNS = (
     ROW,
     VARIANT,
-    Column("subset", "samples\nof", "samples"),
-    Column("samples", "n", "n", from_width=110),
-    Column("coverage", "done\n%", "done [%]", 0, 100.0),
-    Column("vva_deg", "VVA\ndeg", "VVA [deg]", 2, best=True),
-    Column("fd_mm", "FD\nmm", "FD [mm]", 2, best=True),
-    Column("pf_deg", "PF\ndeg", "PF [deg]", 2, best=True),
-    Column("an_deg", "AN\ndeg", "AN [deg]", 1, best=True),
-    Column("pn_mm", "PN\nmm", "PN [mm]", 1, best=True),
-    Column("vva_true_deg", "true\nVVA", "true VVA [deg]", 2, best=True, from_width=90),
-    Column("constrained_percent", "bound\n%", "constrained [%]", 1),
-    Column("visibility_any_percent", "seen\n%", "visible to a camera [%]", 2, from_width=90),
-    Column("no_go_violations", "no-\ngo", "no-go violations"),
-    Column("limit_violations", "limit", "limit violations", from_width=100),
-    Column("latency_ms", "time\nms", "latency [ms]", 3, best=True),
-    Column("latency_ms_p999", "p99.9\nms", "p99.9 [ms]", 3, from_width=90),
+    Column("subset", "samples", short="samples\nof"),
+    Column("samples", "n", short="n", from_width=110),
+    Column("coverage", "done", "%", 0, 100.0, short="done\n%"),
+    VVA,
+    FD,
+    PF,
+    AN,
+    PN,
+    TRUE_VVA,
+    Column("constrained_percent", "constrained", "%", 1, short="bound\n%"),
+    Column("visibility_any_percent", "visible to a camera", "%", 2, short="seen\n%", from_width=90),
+    Column("no_go_violations", "no-go violations", short="no-\ngo"),
+    Column("limit_violations", "limit violations", short="limit", from_width=100),
+    Column("latency_ms", "latency", "ms", 3, short="time\nms", best=True),
+    P999,
 )
+
+# Reproduced tables: the article's errors, with its digits,
+PAGE_ERRORS = (VVA, FD, PF, replace(AN, decimals=2), replace(PN, decimals=2))
+PAGE_SIGNED = Column("fd_signed_mm", "FD, signed", "mm", 2)
+# the mean time of a call, of which the article has fewer digits,
+PAGE_TIME = Column("latency_ms_mean", "time", "ms", 3)
+PUBLISHED_TIME = replace(PAGE_TIME, key="latency_ms", decimals=2)
+# what was true, and what was commanded,
+PAGE_TRUTH = (
+    TRUE_VVA,
+    Column("fd_true_mm", "true FD", "mm", 2),
+    Column("pf_true_deg", "true PF", "deg", 2),
+    Column("an_true_deg", "true AN", "deg", 2),
+    Column("pn_full_mm", "PN, whole way", "mm", 2),
+    Column("constrained_percent", "constrained", "%", 2),
+    Column("no_go_violations", "in the zone"),
+    Column("floor_violations", "below the floor"),
+    Column("proximity_violations", "too near"),
+    Column("limit_violations", "beyond limits"),
+    Column("clipped_commands", "clipped commands"),
+    P999,
+)
+# and where the feature was in the pictures: of the left and of the right one, of both together, and whether at all.
+_PICTURE_ERRORS = {"l2": "L2", "u": "u", "v": "v"}
+PAGE_EYES = {
+    eye: tuple(Column(f"{key}_error_px", f"{name} {eye}", "px", 1) for key, name in _PICTURE_ERRORS.items())
+    for eye in ("left", "right")
+}
+PAGE_BOTH = tuple(Column(f"{key}_error_percent", f"{name} both", "%", 2) for key, name in _PICTURE_ERRORS.items())
+PAGE_SEEN = {
+    which: Column(f"visibility_{which}_percent", f"seen {which}", "%", 2) for which in ("left", "right", "any", "both")
+}

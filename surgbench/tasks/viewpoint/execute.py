@@ -44,6 +44,7 @@ def execute(job: Job, dataset: ViewpointDataset, run: Run) -> dict[str, Any]:
     try:
         with run.child(WORKER, settings.conditions.timeout_s) as child:
             child.send(ViewpointSetup(settings.tracker, replace(trial, truth=None), scene, job.frames, axes))
+            child.ready()
             while course is None or len(course.goals) < job.frames:
                 kind, content = child.receive()
                 if kind == "progress":

@@ -5,10 +5,21 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+from surgbench.report.column import NO_VALUE, Column
 from surgbench.report.figures import FIGURE_PNG
-from surgbench.report.markdown import QUICK_WARNING
+from surgbench.report.markdown import QUICK_WARNING, failure_lines, markdown_table
 from surgbench.report.row import Row
 from surgbench.reproduce.published import Figure, Published
+from surgbench.tasks.viewpoint.columns import (
+    PAGE_BOTH,
+    PAGE_ERRORS,
+    PAGE_EYES,
+    PAGE_SEEN,
+    PAGE_SIGNED,
+    PAGE_TIME,
+    PAGE_TRUTH,
+    PUBLISHED_TIME,
+)
 
 if TYPE_CHECKING:
     from surgbench.reproduce.results import Results
@@ -28,20 +39,10 @@ SOURCES = {
     "tags": "by the tags in rendered pictures, as the authors measured it",
     "projected": "by geometry, at every sample",
 }
-# Key, heading, decimals.
-Column = tuple[str, str, int]
-ERRORS = (
-    ("vva_deg", "VVA [deg]", 2),
-    ("fd_mm", "FD [mm]", 2),
-    ("pf_deg", "PF [deg]", 2),
-    ("an_deg", "AN [deg]", 2),
-    ("pn_mm", "PN [mm]", 2),
-)
 QUICK_TRIAL = (
     "It is the beginning of one trial: how often rules bind in that is not what the headings say of whole trials, and "
     "a subset may be empty."
 )
-SIGNED = ("fd_signed_mm", "FD, signed [mm]", 2)
 READING = (
     "VVA: angle between the optical axis and the line to the feature; FD: distance to it less 110 mm; PF: camera's x "
     "axis out of the horizontal; AN, PN: angle and distance to the naive pose. On reported poses, what was wanted at a "
@@ -67,7 +68,7 @@ def page(definition: Definition, results: Results) -> str:
     for block in table.blocks:
         rows = [row for row in results.rows if row["block"] == block.name]
         data = _dataset(block, results.about["datasets"][block.dataset.folder])
-        parts += [f"## {block.heading}", block.note.strip(), data, *_failures(rows)]
+        parts += [f"## {block.heading}", block.note.strip(), data, *failure_lines(list(filter(_is_whole, rows)))]
         for subset, name in SUBSET_NAMES.items():
             parts += [f"### Table I, {name}", _errors(rows, published, "table1", subset)]
         parts += ["### In truth, and what was commanded", _truth(rows)]
@@ -76,75 +77,60 @@ def page(definition: Definition, results: Results) -> str:
             if centroids:
                 parts += [f"### Table II, {name}", centroids]
         for subset, name in OPTIMISED.items():
-            parts += [f"### Table III, {name}", _errors(rows, published, "table3", subset, (*ERRORS, SIGNED))]
+            parts += [f"### Table III, {name}", _errors(rows, published, "table3", subset, (*PAGE_ERRORS, PAGE_SIGNED))]
     return "\n\n".join(part for part in parts if part) + "\n"
 
 
 def _errors(
-    rows: Sequence[Row], published: Published | None, table: str, subset: str, columns: Sequence[Column] = ERRORS
+    rows: Sequence[Row], published: Published | None, table: str, subset: str, columns: Sequence[Column] = PAGE_ERRORS
 ) -> str:
-    lines = [["controller", "row id", "samples", *(name for _, name, _ in columns), "time [ms]"]]
+    lines = [["controller", "row id", "samples", *(column.heading for column in (*columns, PAGE_TIME))]]
     if published is not None:
         values = published.rows[table].data["solver" if subset == "optimised" else subset]
-        cells = [_published(values.get(key), decimals) for key, _, decimals in columns]
-        count = f"{values['samples']:.0f}" if "samples" in values else "–"
-        lines.append([f"*{published.short}*", "", count, *cells, _published(values.get("latency_ms"), 2)])
+        cells = [_published(column, values.get(column.key)) for column in (*columns, PUBLISHED_TIME)]
+        count = f"{values['samples']:.0f}" if "samples" in values else NO_VALUE
+        lines.append([f"*{published.short}*", "", count, *cells])
     for row in rows:
         if row["subset"] != subset or row["camera"] is not None:
             continue
-        cells = [_with_spread(row[key], row[f"{key}_std"], decimals) for key, _, decimals in columns]
-        lines.append([row["label"], f"`{row['row_id']}`", str(row["samples"]), *cells, _latency(row)])
-    return _table(lines, text_columns=2)
+        cells = [column.with_spread(row[column.key], row[f"{column.key}_std"]) for column in columns]
+        cells.append(PAGE_TIME.with_spread(row[PAGE_TIME.key], row["latency_ms_std"]))
+        lines.append([row["label"], f"`{row['row_id']}`", str(row["samples"]), *cells])
+    return markdown_table(lines, text_columns=2)
 
 
 def _centroids(rows: Sequence[Row], published: Published | None, source: str) -> str:
     """One line for each controller: left and right errors in pixels and percent, and visibility."""
-    eyes, errors = ("left", "right"), ("l2", "u", "v")
-    heads = [f"{error.upper() if error == 'l2' else error} {eye} [px]" for eye in eyes for error in errors]
-    heads += [
-        "L2 both [%]",
-        "u both [%]",
-        "v both [%]",
-        *(f"seen {which} [%]" for which in ("left", "right", "any", "both")),
-    ]
+    of_pictures = [(eye, column) for eye, columns in PAGE_EYES.items() for column in columns]
+    of_pictures += [("any", column) for column in PAGE_BOTH]
+    heads = [column.heading for column in (*(column for _, column in of_pictures), *PAGE_SEEN.values())]
     lines = [["controller", "row id", "pictures", *heads]]
     if published is not None:
         data = published.rows["table2"].data
-        cells = [_published(data[eye][f"{error}_error_px"], 1) for eye in eyes for error in errors]
-        cells += [_published(data["any"][f"{error}_error_percent"], 2) for error in errors]
-        cells += [_published(data[which]["visibility_percent"], 2) for which in ("left", "right", "any", "both")]
-        lines.append([f"*{published.short}*", "", "–", *cells])
+        cells = [_published(column, data[camera][column.key]) for camera, column in of_pictures]
+        cells += [_published(column, data[which]["visibility_percent"]) for which, column in PAGE_SEEN.items()]
+        lines.append([f"*{published.short}*", "", NO_VALUE, *cells])
     for id_ in dict.fromkeys(row["row_id"] for row in rows):
         own = {row["camera"]: row for row in rows if row["row_id"] == id_ and row["pixels"] == source}
         if not own:
             continue
         cells = [
-            _with_spread(own[eye][f"{error}_error_px"], own[eye][f"{error}_error_px_std"], 1)
-            for eye in eyes
-            for error in errors
+            column.with_spread(own[camera][column.key], own[camera][f"{column.key}_std"])
+            for camera, column in of_pictures
         ]
         both = own["any"]
-        for error in errors:
-            cells.append(_with_spread(both[f"{error}_error_percent"], both[f"{error}_error_percent_std"], 2))
-        cells += [_number(both[f"visibility_{which}_percent"], 2) for which in ("left", "right", "any", "both")]
+        cells += [column.text(both[column.key]) for column in PAGE_SEEN.values()]
         lines.append([both["label"], f"`{id_}`", str(both["samples"]), *cells])
-    return _table(lines, text_columns=2) if len(lines) > 1 + (published is not None) else ""
+    return markdown_table(lines, text_columns=2) if len(lines) > 1 + (published is not None) else ""
 
 
 def _truth(rows: Sequence[Row]) -> str:
-    heads = ["true VVA [deg]", "true FD [mm]", "true PF [deg]", "true AN [deg]", "PN, whole way [mm]"]
-    heads += ["constrained [%]", "in the zone", "below the floor", "too near", "beyond limits", "clipped commands"]
-    heads += ["p99.9 [ms]"]
-    lines = [["controller", "row id", *heads]]
+    lines = [["controller", "row id", *(column.heading for column in PAGE_TRUTH)]]
     for row in rows:
-        if row["subset"] == "all" and row["camera"] is None:
-            keys = ("vva_true_deg", "fd_true_mm", "pf_true_deg", "an_true_deg", "pn_full_mm", "constrained_percent")
-            cells = [_number(row[key], 2) for key in keys]
-            counts = [str(row[f"{key}_violations"]) for key in ("no_go", "floor", "proximity", "limit")]
-            counts.append(str(row["clipped_commands"]))
-            p999 = _number(row["latency_ms_p999"], 3)
-            lines.append([row["label"], f"`{row['row_id']}`", *cells, *counts, p999])
-    return _table(lines, text_columns=2)
+        if _is_whole(row):
+            cells = [column.text(row[column.key]) for column in PAGE_TRUTH]
+            lines.append([row["label"], f"`{row['row_id']}`", *cells])
+    return markdown_table(lines, text_columns=2)
 
 
 def _times(about: dict[str, Any], published: Published | None) -> str:
@@ -163,35 +149,11 @@ def _dataset(block: Block, dataset: dict[str, Any]) -> str:
     )
 
 
-def _failures(rows: Sequence[Row]) -> list[str]:
-    lines = [
-        f"- `{row['row_id']}` {row['status']}: {row['error'] or 'no message'}"
-        for row in rows
-        if row["status"] != "ok" and row["subset"] == "all" and row["camera"] is None
-    ]
-    return ["\n".join(lines)] if lines else []
+def _is_whole(row: Row) -> bool:
+    return row["subset"] == "all" and row["camera"] is None
 
 
-def _published(value: float | Figure | None, decimals: int) -> str:
+def _published(column: Column, value: float | Figure | None) -> str:
     if isinstance(value, Figure):
-        return _with_spread(value.mean, value.std, decimals)
-    return _number(value, decimals)
-
-
-def _with_spread(value: float | None, std: float | None, decimals: int) -> str:
-    if value is None:
-        return "–"
-    return f"{value:.{decimals}f}" + ("" if std is None else f" ± {std:.{decimals}f}")
-
-
-def _number(value: float | None, decimals: int) -> str:
-    return "–" if value is None else f"{value:.{decimals}f}"
-
-
-def _latency(row: Row) -> str:
-    return _with_spread(row["latency_ms_mean"], row["latency_ms_std"], 3)
-
-
-def _table(lines: list[list[str]], text_columns: int) -> str:
-    rule = ["---" if column < text_columns else "---:" for column in range(len(lines[0]))]
-    return "\n".join(f"| {' | '.join(cells)} |" for cells in [lines[0], rule, *lines[1:]])
+        return column.with_spread(value.mean, value.std)
+    return column.text(value)

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 from surgbench.records.format import Frames, Number, Record, RecordSpec
+from surgbench.viewpoint.scores import POSE_ERRORS, SIGNED, TRUE_ERRORS
 
 
 class ViewpointRecordSpec(RecordSpec):
@@ -50,6 +53,8 @@ class ViewpointFrames(Frames):
 
 class ViewpointRecord(Record):
     """One run of a viewpoint controller."""
+
+    error_names: ClassVar[tuple[str, ...]] = (*POSE_ERRORS, SIGNED, *TRUE_ERRORS)
 
     spec: ViewpointRecordSpec
     frames: ViewpointFrames

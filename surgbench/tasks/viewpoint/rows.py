@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surgbench.geometry import FloatArray
+from surgbench.report.field import count, flag, keys, number, text
 from surgbench.report.row import COMMON_COLUMNS, Row
 from surgbench.report.summary import summarise
 from surgbench.tasks.viewpoint.records import ViewpointRecord
@@ -30,14 +31,20 @@ LATENCIES = ("latency_ms", "latency_ms_p95", "latency_ms_mean", "latency_ms_std"
 COUNTS = ("limit_violations", "clipped_commands", "no_go_violations", "floor_violations", "proximity_violations")
 VIEWPOINT_COLUMNS = (
     *COMMON_COLUMNS,
-    "latency_ms_mean", "latency_ms_std", "latency_ms_p999",
-    "registration", "missing_face", "subset", "samples",
-    *(f"{error}{suffix}" for error in ERRORS for suffix in ("", "_std", "_sem")),
-    "constrained_percent", "solver_percent", *COUNTS,
-    "camera", "pixels",
-    *(f"{error}_error_{unit}{kind}" for error in PIXEL_ERRORS for unit in ("px", "percent") for kind in ("", "_std")),
-    *(f"visibility_{which}_percent" for which in VISIBILITY),
-)  # fmt: skip
+    *number("latency_ms_mean", "latency_ms_std", "latency_ms_p999"),
+    *text("registration"),
+    *flag("missing_face"),
+    *text("subset"),
+    *count("samples"),
+    *number(*(f"{error}{suffix}" for error in ERRORS for suffix in ("", "_std", "_sem"))),
+    *number("constrained_percent", "solver_percent"),
+    *count(*COUNTS),
+    *text("camera", "pixels"),
+    *number(
+        *(f"{error}_error_{unit}{s}" for error in PIXEL_ERRORS for unit in ("px", "percent") for s in ("", "_std"))
+    ),
+    *number(*(f"visibility_{which}_percent" for which in VISIBILITY)),
+)
 _ORIENTATION_BIT = 1 << CONSTRAINTS.index("orientation")
 _SOLVER_BITS = sum(1 << CONSTRAINTS.index(name) for name in ("proximity", "joint_limit"))
 
@@ -100,7 +107,7 @@ def _pixel_rows(common: Row, records: list[ViewpointRecord], source: str) -> lis
     table = centroid_table(left, right, (AUTOCAM_STEREO.left, AUTOCAM_STEREO.right))
     rows = []
     for camera in ("left", "right", "any"):
-        row: Row = {**dict.fromkeys(VIEWPOINT_COLUMNS), **common, "subset": "all", "samples": len(left)}
+        row: Row = {**dict.fromkeys(keys(VIEWPOINT_COLUMNS)), **common, "subset": "all", "samples": len(left)}
         row |= dict.fromkeys(LATENCIES)
         row |= {"camera": camera, "pixels": source.removesuffix("_px"), **_visibility(left, right)}
         eye = {"left": table.left, "right": table.right}.get(camera)
@@ -117,7 +124,7 @@ def _pixel_rows(common: Row, records: list[ViewpointRecord], source: str) -> lis
 
 def _row(common: Row, subset: str, records: list[ViewpointRecord], chosen: list[NDArray[np.bool_]]) -> Row:
     row: Row = {
-        **dict.fromkeys(VIEWPOINT_COLUMNS),
+        **dict.fromkeys(keys(VIEWPOINT_COLUMNS)),
         **common,
         "subset": subset,
         "samples": int(sum(mask.sum() for mask in chosen)),

@@ -83,7 +83,6 @@ def _no_traits(dataset: ViewpointDataset, sequence: str) -> Row:
 
 VIEWPOINT_SHEET = Sheet(
     columns=VIEWPOINT_COLUMNS,
-    settings=frozenset({"registration", "subset", "camera", "pixels"}),
     errors=ERRORS,
     whole=(),
     counts=COUNTS,

@@ -6,17 +6,18 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from surgbench.conformance.subject import Check
-from surgbench.report.column import Column
-from surgbench.report.row import Row
-from surgbench.reproduce.sheet import Sheet
-from surgbench.suite.asked import Conditions
-from surgbench.suite.running import Run
-from surgbench.suite.settings import Job
 from surgbench.task import Task
-from surgbench.tasks.viewpoint.asked import ViewpointRow
 
 if TYPE_CHECKING:
+    from surgbench.conformance.subject import Check
+    from surgbench.report.column import Column
+    from surgbench.report.field import Field
+    from surgbench.report.row import Row
+    from surgbench.reproduce.sheet import Sheet
+    from surgbench.suite.asked import Conditions
+    from surgbench.suite.running import Run
+    from surgbench.suite.settings import Job
+    from surgbench.tasks.viewpoint.asked import ViewpointRow
     from surgbench.tasks.viewpoint.dataset import ViewpointDataset
     from surgbench.tasks.viewpoint.format import ViewpointManifest
     from surgbench.tasks.viewpoint.plan import ViewpointSettings
@@ -54,6 +55,8 @@ class ViewpointTask(Task):
     @property
     def row(self) -> type[ViewpointRow]:
         """Registration, the zone as published, pictures."""
+        from surgbench.tasks.viewpoint.asked import ViewpointRow
+
         return ViewpointRow
 
     def complete(self, row: ViewpointRow, conditions: Conditions, dataset: ViewpointDataset) -> ViewpointSettings:
@@ -80,7 +83,7 @@ class ViewpointTask(Task):
         return ViewpointRecord
 
     @property
-    def columns(self) -> tuple[str, ...]:
+    def columns(self) -> tuple[Field, ...]:
         """Errors, rules that were broken, what the pictures show."""
         from surgbench.tasks.viewpoint.rows import VIEWPOINT_COLUMNS
 

@@ -59,7 +59,9 @@ def _controller(setup: ViewpointSetup) -> Controller:
 
 
 def run(tell: Tell, setup: ViewpointSetup) -> tuple[Any, ...]:
-    """The course of a trial; tells ``("progress", steps)`` in between, and what was done before a problem."""
+    """The course of a trial; tells ``("ready",)``, ``("progress", steps)``, and what was done before a problem."""
+    find("tracker", setup.tracker.reference)
+    tell("ready")  # everything is imported
     with contextlib.suppress(Exception):  # what is wrong with it will show again
         warm_up(setup)
     simulation = Simulation(_controller(setup), setup.trial, setup.scene, generator(**setup.axes), setup.steps)

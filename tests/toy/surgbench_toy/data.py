@@ -12,9 +12,8 @@ import numpy as np
 from surgbench.config import read_yaml
 from surgbench.dataset import tables
 from surgbench.dataset.base import Dataset
-from surgbench.dataset.manifest import FORMAT, Manifest, observations_path
-from surgbench.dataset.storage import describe_files
-from surgbench.files import write_atomic
+from surgbench.dataset.manifest import FORMAT, FileEntry, Manifest, observations_path
+from surgbench.dataset.writer import write_files
 from surgbench.generation import GenerationPlan, GenerationRequest
 from surgbench.geometry import FloatArray
 from surgbench.randomness import generator
@@ -115,9 +114,10 @@ class Plan:
 
     def write(self, out: Path, jobs: int, progress: Callable[[float], None]) -> Manifest:
         """Draw and write."""
+        files: dict[str, FileEntry] = {}
         for id_ in self.ids:
             values = generator(series=id_).integers(100) + np.arange(FRAMES, dtype=float)
-            write_atomic(out / observations_path(id_), tables.encode_table({"value": values}))
+            files |= write_files(out, {observations_path(id_): tables.encode_table({"value": values})})
             progress(FRAMES)
         return CountingManifest(
             name=self.name,
@@ -126,5 +126,5 @@ class Plan:
             configuration={"name": self.name, "series": self.series},
             conventions={},
             series=self.ids,
-            files=describe_files(out, self.paths),
+            files=files,
         )

@@ -13,6 +13,7 @@ from surgbench.dataset.integrity import check_files
 from surgbench.processes.child import ChildProblemError
 from surgbench.records.format import Frames, Record
 from surgbench.report.column import ROW, Column
+from surgbench.report.field import number
 from surgbench.report.row import COMMON_COLUMNS, Row
 from surgbench.report.summary import summarise
 from surgbench.suite.asked import Conditions, RowRequest
@@ -41,6 +42,8 @@ class CountingFrames(Frames):
 class CountingRecord(Record):
     """One tracker on one series."""
 
+    error_names: ClassVar[tuple[str, ...]] = ("count_error",)
+
     frames: CountingFrames
 
 
@@ -52,7 +55,7 @@ class CountingTask(Task):
 
     manifest = CountingManifest
     record = CountingRecord
-    columns = (*COMMON_COLUMNS, "count_error")
+    columns = (*COMMON_COLUMNS, *number("count_error"))
     shown = (ROW, Column("count_error", "off\nby", "off by", 2, best=True))
 
     def open(self, folder: Path, manifest: CountingManifest, sha256: str) -> CountingDataset:

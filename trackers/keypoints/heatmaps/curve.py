@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import csv
 import io
 from importlib.util import find_spec
 from pathlib import Path
 
 from surgbench.files import write_atomic
+from surgbench.report.frame import read_csv
+from surgbench.trackers.keypoints.heatmaps.training import FIELDS
 
 
 def draw_curve(log: Path, out: Path) -> bool:
@@ -24,11 +25,11 @@ def draw_curve(log: Path, out: Path) -> bool:
         return False
     from matplotlib.figure import Figure
 
-    rows = list(csv.DictReader(log.read_text().splitlines()))
-    epochs = [int(row["epoch"]) + 1 for row in rows]
+    table = read_csv(log.read_text(), FIELDS)
+    epochs = (table["epoch"] + 1).tolist()
 
     def column(key: str) -> list[float]:
-        return [float(row[key]) if row[key] else float("nan") for row in rows]
+        return [float(value) for value in table[key]]
 
     figure = Figure(figsize=(9, 3.2), layout="constrained")
     losses, shares, errors = figure.subplots(1, 3)

@@ -6,8 +6,6 @@ one would have seen.
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import time
 from collections.abc import Callable
@@ -27,6 +25,8 @@ from surgbench.files import sha256_file, write_atomic
 from surgbench.geometry import FloatArray
 from surgbench.keypoints.accuracy import Accuracy, Outcome, accuracy, pair_errors
 from surgbench.randomness import generator, seed_from
+from surgbench.report.field import count, number
+from surgbench.report.frame import csv_text, to_frame
 from surgbench.trackers.keypoints.heatmaps.checkpoint import Progress, keep, resume
 from surgbench.trackers.keypoints.heatmaps.model import WEIGHTS, load_network, save_network
 from surgbench.trackers.keypoints.heatmaps.network import HeatmapNetwork, NetworkSettings
@@ -35,10 +35,12 @@ from surgbench.trackers.keypoints.heatmaps.peaks import exactly_two, find_peaks
 
 STATE = "training.safetensors"
 LOG = "log.csv"
-COLUMNS = (
-    "epoch", "learning_rate", "training_loss", "validation_loss", "detected_percent", "median_error_px",
-    "p95_error_px", "false_pair_percent", "seconds",
-)  # fmt: skip
+FIELDS = (
+    *count("epoch"),
+    *number("learning_rate", "training_loss", "validation_loss", "detected_percent", "median_error_px"),
+    *number("p95_error_px", "false_pair_percent"),
+    *count("seconds"),
+)
 # A narrower network is trained with its channels first: the gradient of a short cut's weights, a 1 x 1 convolution of
 # stride 2, comes out wrong in oneDNN with channels last and fewer than a vector register holds (8 with AVX2, 16 with
 # AVX-512), and it writes where it must not (https://github.com/uxlfoundation/oneDNN/issues/6035).
@@ -158,14 +160,14 @@ class Training:
                 )
             row = {
                 "epoch": self._state.epoch,
-                "learning_rate": f"{rate:.3g}",
-                "training_loss": f"{loss:.4f}",
-                "validation_loss": f"{validation_loss:.4f}",
-                "detected_percent": _text(found.detected_percent),
-                "median_error_px": _text(found.median_error_px),
-                "p95_error_px": _text(found.p95_error_px),
-                "false_pair_percent": _text(found.false_pair_percent),
-                "seconds": f"{time.monotonic() - begin:.0f}",
+                "learning_rate": float(f"{rate:.3g}"),
+                "training_loss": round(loss, 4),
+                "validation_loss": round(validation_loss, 4),
+                "detected_percent": _short(found.detected_percent),
+                "median_error_px": _short(found.median_error_px),
+                "p95_error_px": _short(found.p95_error_px),
+                "false_pair_percent": _short(found.false_pair_percent),
+                "seconds": round(time.monotonic() - begin),
             }
             self._log.append(row)
             if validation_loss < self._state.best_loss:
@@ -241,11 +243,7 @@ class Training:
         return None if pair is None else unit_px * pair_errors(pair, tips)
 
     def _write_log(self) -> None:
-        table = io.StringIO()
-        writer = csv.DictWriter(table, COLUMNS, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(self._log)
-        write_atomic(self._folder / LOG, table.getvalue().encode())
+        write_atomic(self._folder / LOG, csv_text(to_frame(self._log, FIELDS)).encode())
 
 
 def target_heat(tips: Tensor, size: int, sigma_px: float) -> Tensor:
@@ -266,5 +264,5 @@ def target_heat(tips: Tensor, size: int, sigma_px: float) -> Tensor:
     return (down[..., :, None] * across[..., None, :]).amax(dim=1)
 
 
-def _text(value: float | None) -> str:
-    return "" if value is None else f"{value:.3f}"
+def _short(value: float | None) -> float | None:
+    return None if value is None else round(value, 3)

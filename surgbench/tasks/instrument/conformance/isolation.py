@@ -5,10 +5,9 @@ from __future__ import annotations
 import pickle
 from typing import Any
 
-from surgbench.conformance.conduct import START_TIMEOUT_S
 from surgbench.conformance.global_generators import global_generators
 from surgbench.conformance.subject import Alive, CheckFailedError, Subject
-from surgbench.processes.child import Child, ChildProblemError
+from surgbench.processes.child import START_TIMEOUT_S, Child, ChildProblemError
 from surgbench.tasks.instrument.conformance.scenes import play_of
 from surgbench.tasks.instrument.conformance.session import Step, first_difference, run_through, start
 

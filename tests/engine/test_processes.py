@@ -1,0 +1,87 @@
+"""What a child process is told, and the work that is timed in it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from surgbench.processes import reference_work
+from surgbench.processes.child import Child, ChildProblemError
+from surgbench.processes.reference import REFERENCE_MS
+from surgbench.suite.running import Run
+
+# Any module that serves its parent; it says which threads its libraries would use.
+SERVER = """
+from __future__ import annotations
+import os
+import cv2, numba, numpy as np, scipy.linalg, torch
+from surgbench.processes.service import serve_parent
+
+def answer(tell, kind):
+    if kind == "fail":
+        raise RuntimeError("no more")
+    large = np.ones((1000, 1000), np.float32)
+    cv2.warpAffine(large, np.eye(2, 3), (1000, 1000))
+    scipy.linalg.lu(large @ large), torch.from_numpy(large) @ torch.from_numpy(large)
+    asked = {"cv2": cv2.getNumThreads(), "torch": torch.get_num_threads(), "numba": numba.config.NUMBA_NUM_THREADS}
+    return ("threads", asked, len(os.listdir("/proc/self/task")))
+
+if __name__ == "__main__":
+    serve_parent(answer)
+"""
+
+
+@pytest.fixture
+def server(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    (tmp_path / "some_server.py").write_text(SERVER)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=":")
+    return "some_server"
+
+
+def test_every_library_keeps_to_one_thread(server: str) -> None:
+    with Child(120.0, server) as child:
+        child.send("threads")
+        _, asked, threads = child.receive()
+    assert set(asked.values()) == {1}, asked
+    assert threads == 2  # and the one that sees whether the parent is there
+
+
+def test_the_reference_work_is_timed_before_and_after(server: str) -> None:
+    run = Run()
+    assert run.calibration_ms is None
+    part = run.part()
+    with part.child(server, 120.0) as child:
+        before = list(part._calibration_ms)
+        child.send("threads")
+        assert child.receive()[0] == "threads"  # in no message's way
+    assert len(before) == reference_work.TURNS
+    assert len(part._calibration_ms) == 2 * reference_work.TURNS
+    assert part.calibration_ms is not None
+    assert part.calibration_ms > 0
+    assert run.calibration_ms is None  # of one job, not of all
+    assert child.timeout_s == 120.0
+
+
+def test_what_failed_is_timed_before(server: str) -> None:
+    part = Run().part()
+
+    def fail() -> None:
+        with part.child(server, 120.0) as child:
+            child.send("fail")
+            child.receive()
+
+    with pytest.raises(ChildProblemError, match="no more"):
+        fail()
+    assert len(part._calibration_ms) == reference_work.TURNS
+
+
+def test_the_reference_work_is_the_one_that_its_unit_was_measured_with() -> None:
+    work: Any = reference_work.ReferenceWork()
+    work()
+    counts = reference_work._SCANS, reference_work._SYSTEMS, reference_work._PRODUCTS
+    assert (*counts, *work._large.shape, *work._samples.shape) == (29, 130, 5, 320, 320, 70, 9)
+    assert reference_work._scan(work._polygons, work._sums, work._crossings) == 1233573
+    assert REFERENCE_MS == 10.9
