@@ -21,9 +21,9 @@ from pydantic import BaseModel
 
 from surgbench.config import parse_model
 from surgbench.errors import ConfigError, NotFoundError, unknown_name
-from surgbench.files import sha256_file
 from surgbench.kinds import KINDS, NAME_PATTERN
 from surgbench.plugin_files import load_file
+from surgbench.sources import hash_modules, own_modules
 
 
 @dataclass(frozen=True)
@@ -35,12 +35,14 @@ class Found:
         source: Module, entry point or file it comes from.
         cls: The class; ``None`` where loading failed.
         problem: One line that says why, else ``None``.
+        module: The module that was looked into for it; the class may be from another one.
     """
 
     name: str
     source: str
     cls: type | None
     problem: str | None = None
+    module: str = ""
 
     @property
     def task(self) -> str:
@@ -49,9 +51,14 @@ class Found:
 
     @property
     def hash(self) -> str:
-        """Start of the SHA-256 of the file that holds the class: another text is another plug-in."""
-        path = None if self.cls is None else inspect.getsourcefile(self.cls)
-        return "unknown" if path is None else sha256_file(Path(path))[:16]
+        """Hash of all of its own modules (:func:`surgbench.sources.own_modules`): another text is another plug-in."""
+        own = own_modules(self.modules)
+        return hash_modules(own) if own else "unknown"
+
+    @property
+    def modules(self) -> tuple[str, ...]:
+        """Names of the modules that it was found in, and that its class is from."""
+        return tuple(dict.fromkeys(filter(None, (self.module, getattr(self.cls, "__module__", "")))))
 
     @property
     def unavailable(self) -> str | None:
@@ -95,14 +102,15 @@ def discover(kind: str) -> dict[str, Found]:
         try:
             module = importlib.import_module(source)
             found += [
-                Found(str(vars(cls)["name"]), source, _checked(cls, kind, source))
+                Found(str(vars(cls)["name"]), source, _checked(cls, kind, source), module=source)
                 for cls in _plugin_classes(module, kind)
             ]
         except Exception as error:  # a broken plug-in is listed as such, whatever breaks it
             found.append(Found(info.name, source, None, f"{type(error).__name__}: {error}"))
     for point in entry_points(group=place.group):
         try:
-            found.append(Found(point.name, point.value, _checked(point.load(), kind, point.value)))
+            cls = _checked(point.load(), kind, point.value)
+            found.append(Found(point.name, point.value, cls, module=point.module))
         except Exception as error:
             found.append(Found(point.name, point.value, None, f"{type(error).__name__}: {error}"))
     by_name: dict[str, Found] = {}
@@ -167,7 +175,8 @@ def find(kind: str, reference: str) -> Found:
             names = [cls.__name__ for cls in _plugin_classes(module, kind)]
             raise NotFoundError(f"{path_text}: {unknown_name('class', class_name, names)}")
         cls = _checked(getattr(module, class_name), kind, reference)
-        return Found(str(getattr(cls, "name", class_name)), f"{path.name}:{class_name}", cls)
+        name = str(getattr(cls, "name", class_name))
+        return Found(name, f"{path.name}:{class_name}", cls, module=module.__name__)
     if reference.endswith(".py"):
         raise NotFoundError(f"{reference}: say which class, as {reference}:ClassName")
     available = discover(kind)

@@ -43,6 +43,9 @@ class Task(ABC):
         name: As manifests and rows have it.
         summary: One line.
         default: Manifests, trackers and presets that name no task are of this one.
+        made_by: Names of its modules that make estimates and measure errors. With what they import of the engine, they
+            are part of what records depend on; what only plans, writes and shows is not. Where none are named, it is
+            the module that the class is from.
         parts: Columns that tell apart several rows of one run, and their values in the row that stands for the whole.
         first_check: The check that a tracker must get through before it is put to the others.
         may_refuse: Checks that a tracker may answer with a :class:`~surgbench.errors.SurgbenchError`: it does not do
@@ -53,6 +56,7 @@ class Task(ABC):
     name: ClassVar[str]
     summary: ClassVar[str] = ""
     default: ClassVar[bool] = False
+    made_by: ClassVar[tuple[str, ...]] = ()
     parts: ClassVar[Mapping[str, Any]] = {}
     first_check: ClassVar[str] = ""
     may_refuse: ClassVar[tuple[str, ...]] = ()

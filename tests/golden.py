@@ -26,12 +26,12 @@ from surgbench.reproduce.table import Block
 from surgbench.suite.plan import complete
 
 FRAMES, SAMPLES = 3, 100
-# A hash is of a plug-in's text, which may change: its name and options may not.
-SOURCE_HASH = "@"
+# Hashes are of a plug-in's text and of the engine's, which may change: names and options may not.
+SOURCE_HASH, ENGINE = "@", "engine"
 
 
 def settings_hashes(data: Path) -> dict[str, str]:
-    """Table and row to a hash of the row's settings, without those of plug-ins' texts."""
+    """Table and row to a hash of the row's settings, without those of texts."""
     found = {}
     for name in packaged_names("tables"):
         for block in load_table(name).table.blocks:
@@ -59,6 +59,7 @@ def _without_sources(spec: Any) -> Any:
     return {
         key: value.partition(SOURCE_HASH)[0] if key == "source" else _without_sources(value)
         for key, value in spec.items()
+        if key != ENGINE
     }
 
 

@@ -41,9 +41,14 @@ class Plug(Part):
 
 
 class RecordSpec(Part):
-    """What was run, whatever the task."""
+    """What was run, whatever the task.
+
+    Attributes:
+        engine: Hash of the code besides plug-ins that made it; empty in records of old versions.
+    """
 
     task: str
+    engine: str = ""
     dataset: DatasetRef
     unit: str
     sequence: str

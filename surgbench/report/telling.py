@@ -13,8 +13,8 @@ DIGITS = 6
 def telling_variants(records: Iterable[Record]) -> dict[str, str]:
     """By the hash of their settings, what the variants of some records of one row id are to be called.
 
-    Two plug-ins of one name, such as a file before and after a change, get the start of their sources' hashes; what
-    differs in nothing else that is said gets that of its settings' hash.
+    Two plug-ins of one name, such as a file before and after a change, get the start of their sources' hashes, and so
+    does the engine before and after a change; what differs in nothing that is said gets that of its settings' hash.
     """
     by_settings = {record.settings_hash: record for record in records}
     if len(by_settings) == 1:
@@ -37,9 +37,9 @@ def telling_variants(records: Iterable[Record]) -> dict[str, str]:
 
 
 def _sources(record: Record) -> dict[str, str]:
-    """Of a record's plug-ins, by their names."""
+    """Of a record's plug-ins, by their names, and of the engine."""
     values = (getattr(record.spec, name) for name in type(record.spec).model_fields)
-    return {plug.name: plug.source for plug in values if isinstance(plug, Plug)}
+    return {"engine": record.spec.engine, **{plug.name: plug.source for plug in values if isinstance(plug, Plug)}}
 
 
 def _digits(source: str) -> str:

@@ -194,7 +194,7 @@ def _judge(chosen: Chosen, job: Job, record: dict[str, Any], dataset: Dataset[An
         notes.append("the data are not the committed ones")
     settings_hash = next(row["settings_hash"] for row in results.rows if row["row_id"] == chosen.row.id)
     if chosen.row.frames is None and replace(job.settings, frames_limit=None).hash != settings_hash:
-        notes.append("options or a plug-in's source have changed since the table was made")
+        notes.append("options, or the source of a plug-in or the engine, have changed since the table was made")
     return Verdict(chosen, "differs" if beyond else "close", "; ".join(notes))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -9,10 +10,12 @@ from pydantic import create_model
 
 from surgbench.dataset.base import Dataset
 from surgbench.errors import ConfigError
+from surgbench.registry import find
+from surgbench.sources import engine_modules, hash_modules
 from surgbench.suite.asked import Conditions, RowRequest
 from surgbench.suite.settings import Job, Settings
 from surgbench.suite.slices import spread
-from surgbench.task import all_tasks, find_task
+from surgbench.task import Task, all_tasks, find_task
 
 
 @cache
@@ -40,7 +43,13 @@ def complete(row: RowRequest, conditions: Conditions, dataset: Dataset[Any]) -> 
     for name in row.options:
         if name not in names:
             raise ConfigError(f"--set {name}.…: '{name}' takes no part in this run (taking part: {', '.join(names)})")
-    return settings
+    return replace(settings, engine=_engine(task, settings))
+
+
+def _engine(task: Task, settings: Settings) -> str:
+    """Hash of the code besides plug-ins that makes the estimates and errors of a row."""
+    plugins = [name for plug in settings.plugs for name in find(plug.kind, plug.reference).modules]
+    return hash_modules(engine_modules(plugins, task.made_by or (type(task).__module__,)))
 
 
 def _own(row: RowRequest, model: type[RowRequest], dataset: Dataset[Any]) -> RowRequest:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 from surgbench.dataset.base import Unit
@@ -36,6 +36,8 @@ class Settings:
         sequences: How many of the dataset's units are run; ``None`` for all. Which ones are run changes no estimate,
             so that it is no part of the specification: a slice's records are those of the whole.
         frames_limit: How many frames of each unit are run; ``None`` where all units are run to their end.
+        engine: Hash of the code besides plug-ins that makes estimates and errors; set by
+            :func:`surgbench.suite.plan.complete`.
     """
 
     row_id: str
@@ -43,6 +45,7 @@ class Settings:
     conditions: Conditions
     sequences: int | None
     frames_limit: int | None
+    engine: str = field(default="", kw_only=True)
 
     task: ClassVar[str]
 
@@ -58,7 +61,12 @@ class Settings:
 
     def spec(self) -> dict[str, Any]:
         """The part of a record's specification that is the same for all units and repeats."""
-        spec: dict[str, Any] = {"task": self.task, "row_id": self.row_id, "seed": self.conditions.seed}
+        spec: dict[str, Any] = {
+            "task": self.task,
+            "row_id": self.row_id,
+            "seed": self.conditions.seed,
+            "engine": self.engine,
+        }
         spec |= {plug.kind: plug.spec() for plug in self.plugs}
         if self.conditions.device != "cpu":  # so that the hashes of runs without a GPU do not know of GPUs
             spec["device"] = self.conditions.device

@@ -346,6 +346,27 @@ def test_a_damaged_record_is_named(dataset: Path, tmp_path: Path, capsys: pytest
     assert "000-left-r0.json: damaged record" in capsys.readouterr().err
 
 
+def test_a_change_of_what_a_tracker_imports_is_another_tracker(
+    dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "mine.py").write_text(
+        "import helper\n\n\nclass Mine:\n    name = 'mine'\n\n    def reset(self, scene, state, rng): ...\n\n"
+        "    def step(self, observation):\n        return observation.start + helper.SHIFT\n"
+    )
+    (tmp_path / "helper.py").write_text("SHIFT = 0.0\n")
+    asked = (*RUN, "--dataset", dataset, "--tracker", f"{tmp_path / 'mine.py'}:Mine", "--out", tmp_path / "runs")
+    surgbench(*asked, "--sequences", 1)
+    (first,) = records(tmp_path / "runs")
+    assert first["status"] == "ok"
+    (tmp_path / "helper.py").write_text("SHIFT = 0.0125\n")
+    capsys.readouterr()
+    surgbench(*asked, "--sequences", 1)
+    assert "recorded already" not in capsys.readouterr().err
+    (second,) = (record for record in records(tmp_path / "runs") if record["spec_hash"] != first["spec_hash"])
+    assert second["errors"]["tip_error_m"] != first["errors"]["tip_error_m"]
+    assert second["spec"]["engine"] == first["spec"]["engine"]
+
+
 def test_again_makes_the_asked_records_anew(dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     asked = (*RUN, "--dataset", dataset, "--tracker", f"{STRANGERS}:Still", "--out", tmp_path)
     surgbench(*asked)

@@ -13,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import surgbench
+from surgbench.comparison.keypoints_report import FIELDS as ACCURACY
 from surgbench.errors import DatasetError
 from surgbench.report import render
 from surgbench.report.field import count, flag, keys, number, text
@@ -46,6 +47,11 @@ def test_a_committed_report_is_written_as_it_was_read(name: str) -> None:
     content = (RESULTS / name / LEADERBOARD_CSV).read_text(encoding="utf-8")
     task = next(task for task in all_tasks() if ",".join(keys(task.columns)) == content.partition("\n")[0])
     assert csv_text(to_frame(to_rows(read_csv(content, task.columns)), task.columns)) == content
+
+
+def test_the_committed_accuracy_of_keypoint_sources_is_written_as_it_was_read() -> None:
+    content = (RESULTS / "keypoints" / "accuracy.csv").read_text(encoding="utf-8")
+    assert csv_text(read_csv(content, ACCURACY)) == content
 
 
 @pytest.mark.parametrize("name", REPRODUCED)

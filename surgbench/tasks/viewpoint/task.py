@@ -30,6 +30,9 @@ class ViewpointTask(Task):
     name: ClassVar[str] = "viewpoint"
     summary: ClassVar[str] = "command a camera-holding arm so that a moving feature stays in view"
     # A row for every subset of the samples, and rows of the pictures for each camera.
+    made_by: ClassVar[tuple[str, ...]] = tuple(
+        f"{__package__}.{name}" for name in ("dataset", "execute", "pictures", "worker")
+    )
     parts: ClassVar[Mapping[str, Any]] = {"subset": "all", "camera": None, "pixels": None}
     first_check: ClassVar[str] = "plain trial"
 
