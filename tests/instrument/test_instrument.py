@@ -165,6 +165,7 @@ def test_pose_places_the_wrist_pitch_frame(driver: Instrument) -> None:
 finite = st.floats(-4.0, 4.0)
 
 
+@pytest.mark.slow
 @settings(max_examples=50)
 @given(st.lists(finite, min_size=9, max_size=9))
 def test_link_transforms_are_rigid(values: list[float]) -> None:

@@ -86,6 +86,7 @@ def assert_same(image: np.ndarray, expected: np.ndarray) -> None:
     assert np.count_nonzero(image != expected) <= 1
 
 
+@pytest.mark.slow
 @settings(max_examples=150)
 @given(body=st.sampled_from(sorted(BODIES)), state=poses)
 def test_any_body_anywhere_equals_brute_force(small_camera: Camera, body: str, state: FloatArray) -> None:
@@ -100,6 +101,7 @@ def test_any_body_anywhere_equals_brute_force(small_camera: Camera, body: str, s
     assert score.overlap[0] == np.count_nonzero(image & checker)
 
 
+@pytest.mark.slow
 @settings(max_examples=15)
 @given(left=needle_driver_states, right=needle_driver_states)
 def test_two_needle_drivers_count_their_union_once(small_camera: Camera, left: FloatArray, right: FloatArray) -> None:
@@ -214,12 +216,14 @@ def assert_covers_what_brute_force_does(instruments: list[Instrument], camera: C
     assert_counts_belong_to_mask(evaluator, state, image)
 
 
+@pytest.mark.slow
 @settings(max_examples=100)
 @given(body=st.sampled_from(sorted(DEGENERATE)), state=poses)
 def test_faces_without_area_and_coincident_faces(small_camera: Camera, body: str, state: FloatArray) -> None:
     assert_covers_what_brute_force_does([rigid_instrument(DEGENERATE[body])], small_camera, state)
 
 
+@pytest.mark.slow
 @settings(max_examples=100)
 @given(camera=cameras, body=st.sampled_from(sorted(BODIES)), state=poses)
 def test_any_camera(camera: Camera, body: str, state: FloatArray) -> None:
@@ -249,6 +253,7 @@ lattice_cameras = st.builds(
 )
 
 
+@pytest.mark.slow
 @settings(max_examples=150)
 @given(
     camera=lattice_cameras,
@@ -284,6 +289,7 @@ def test_beside_the_image_nothing_is_covered(small_camera: Camera, side: tuple[i
     assert_counts_belong_to_mask(evaluator, state, np.zeros((62, 88), bool))
 
 
+@pytest.mark.slow
 @settings(max_examples=40)
 @given(state=needle_driver_states)
 def test_the_box_is_that_of_the_mask(small_camera: Camera, state: FloatArray) -> None:
@@ -374,6 +380,7 @@ with ThreadPoolExecutor(2) as pool:
 """
 
 
+@pytest.mark.slow
 def test_threads_may_share_an_evaluator() -> None:
     """In a process of its own: two threads in the same scratch would write beyond its end."""
     done = subprocess.run([sys.executable, "-c", SHARED], capture_output=True, text=True, timeout=AMPLE_S, check=False)

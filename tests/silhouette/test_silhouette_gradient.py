@@ -211,6 +211,7 @@ def assert_averages_are_differences(evaluator: SilhouetteEvaluator, state: Float
     assert np.linalg.norm(ours - truth) < 0.01 * np.linalg.norm(truth)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", STATES)
 def test_the_gradient_averaged_over_steps_is_the_difference(name: str) -> None:
     arms = len(STATES[name]) // 9
@@ -522,6 +523,7 @@ def assert_crossings_bound_the_mask(evaluator: SilhouetteEvaluator, state: Float
         assert np.array_equal(filled, mask[row])
 
 
+@pytest.mark.slow
 @settings(max_examples=60)
 @given(camera=cameras, body=st.sampled_from(sorted(BODIES)), state=poses)
 def test_crossings_of_bodies_bound_the_mask(camera: Camera, body: str, state: FloatArray) -> None:
@@ -530,6 +532,7 @@ def test_crossings_of_bodies_bound_the_mask(camera: Camera, body: str, state: Fl
     assert_crossings_bound_the_mask(evaluator_of(BODIES[body], camera), state)
 
 
+@pytest.mark.slow
 @settings(max_examples=30)
 @given(state=needle_driver_states)
 def test_crossings_of_a_needle_driver_bound_the_mask(small_camera: Camera, state: FloatArray) -> None:
