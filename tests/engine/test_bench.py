@@ -187,6 +187,7 @@ class FaultyProcess(RendererProcess):
         super().send(*message[:3], None) if message[:2] == ("prepare", "opencv") else super().send(*message)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("process", "reason"), [(DyingProcess, "killed by signal 9"), (FaultyProcess, "failed: ")])
 def test_a_peer_that_fails_costs_its_own_row(
     monkeypatch: pytest.MonkeyPatch, process: type[RendererProcess], reason: str
@@ -212,6 +213,7 @@ def test_an_llvm_that_kills_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     assert PEERS["mitsuba-llvm"].problem() is None
 
 
+@pytest.mark.slow
 def test_table_shows_ratios_and_what_was_skipped() -> None:
     done = bench("--quick", "--threads", "1", "--peers", "scanline,mitsuba-llvm", "--rounds", "1")
     assert done.returncode == 0
@@ -231,6 +233,7 @@ def test_threads_are_capped_by_the_cores(monkeypatch: pytest.MonkeyPatch) -> Non
         check_threads([4])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "expected"),
     [

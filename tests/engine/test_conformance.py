@@ -35,6 +35,7 @@ def stranger(name: str, **how: float) -> Subject:
     return Subject(f"{STRANGERS}:{name}", **how)  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(name for name, found in discover("tracker").items() if found.problem is None))
 def test_every_tracker_of_ours_keeps_the_rules(name: str) -> None:
     reason = find("tracker", name).unavailable
@@ -99,6 +100,7 @@ def test_a_refusal_is_no_failure() -> None:
     assert run_check("empty masks", stranger("NeedsKinematics")).status == "FAILED"
 
 
+@pytest.mark.slow
 def test_who_needs_kinematics_is_checked_with_them() -> None:
     names = ["plain sequence", "empty masks", "readings", "kinematics", "two arms"]
     outcomes = {outcome.check: outcome for outcome in conduct(stranger("NeedsKinematics"), AMPLE_S, names=names)}
@@ -117,6 +119,7 @@ def test_a_crash_or_a_hang_fails_its_own_check_only(monkeypatch: pytest.MonkeyPa
     assert outcomes[2].message == "no answer within 2 s"
 
 
+@pytest.mark.slow
 def test_who_fails_the_first_check_is_not_put_to_the_others() -> None:
     reported: list[Outcome] = []
     outcomes = conduct(stranger("ReturnsNan"), AMPLE_S, reported.append)
@@ -144,6 +147,7 @@ def test_plays_show_what_they_say(arms: int) -> None:
     assert all(tips is not None and view.camera.contains(tips).all() for tips in view.keypoints)
 
 
+@pytest.mark.slow
 def test_the_command_says_what_failed(capsys: pytest.CaptureFixture[str]) -> None:
     surgbench("check", "tracker", f"{STRANGERS}:ReturnsNan", expect=1)
     lines = capsys.readouterr().out.splitlines()

@@ -22,14 +22,17 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     return golden.take(tmp_path_factory.mktemp("golden"))
 
 
+@pytest.mark.slow
 def test_settings_of_all_rows_of_all_tables(found: dict[str, Any]) -> None:
     assert found["settings"] == GOLDEN["settings"]
 
 
+@pytest.mark.slow
 def test_bytes_of_datasets(found: dict[str, Any]) -> None:
     assert found["datasets"] == GOLDEN["datasets"]
 
 
+@pytest.mark.slow
 def test_estimates_of_all_trackers(found: dict[str, Any]) -> None:
     assert set(found["estimates"]) >= set(GOLDEN["estimates"])  # a machine may have what another lacks
     for row, estimates in GOLDEN["estimates"].items():

@@ -101,6 +101,7 @@ def results(made: Path) -> Results:
 # --- the files
 
 
+@pytest.mark.slow
 def test_a_blocks_keypoints_are_its_rows_unless_they_name_others(tmp_path: Path, definition: Definition) -> None:
     assert [row.model_dump()["keypoints"] for _, row in definition.table.rows()] == ["observed", "observed"]
     table = json.loads(json.dumps(TABLE))
@@ -110,6 +111,8 @@ def test_a_blocks_keypoints_are_its_rows_unless_they_name_others(tmp_path: Path,
     assert [row.asked(quick=False).model_dump()["keypoints"] for _, row in rows] == ["corners", "observed"]
 
 
+@pytest.mark.slow
+@pytest.mark.extras  # with and without the figure
 def test_every_file_is_there_and_fits(made: Path, definition: Definition, results: Results) -> None:
     folder = made / "results" / "tiny"
     found = {path.name for path in folder.iterdir()}
@@ -130,6 +133,7 @@ def test_every_file_is_there_and_fits(made: Path, definition: Definition, result
     assert inconsistencies(definition, results, folder) == []
 
 
+@pytest.mark.slow
 def test_page_has_published_figures_and_ratios(made: Path, results: Results) -> None:
     page = (made / "results" / "tiny" / "leaderboard.md").read_text(encoding="utf-8")
     row = results.rows[0]
@@ -143,6 +147,7 @@ def test_page_has_published_figures_and_ratios(made: Path, results: Results) -> 
     assert "not to be quoted" not in page
 
 
+@pytest.mark.slow
 def test_without_published_figures_rows_are_held_against_each_other(tmp_path: Path, results: Results) -> None:
     content = json.loads(json.dumps(TABLE))
     del content["published"]
@@ -162,6 +167,7 @@ def test_without_published_figures_rows_are_held_against_each_other(tmp_path: Pa
     assert f"| {int(better)} of 1 |" in page
 
 
+@pytest.mark.slow
 def test_latencies_are_those_of_the_runs_one_at_a_time(made: Path, results: Results) -> None:
     timed = [json.loads(path.read_text()) for path in (made / "results" / "tiny" / "timing").rglob("*.json")]
     assert {record["spec"]["row_id"]: len(record["frames"]["index"]) for record in timed} == {
@@ -172,6 +178,7 @@ def test_latencies_are_those_of_the_runs_one_at_a_time(made: Path, results: Resu
     assert results.rows[0]["latency_ms"] == sorted(latencies[0])[1]
 
 
+@pytest.mark.slow
 def test_the_same_command_runs_only_what_is_missing(copy: Path, made: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (copy / "data").symlink_to(made / "data")
     missing = next((copy / "results" / "tiny" / "records").rglob("noisy-joints*/000-left-r0.json"))
@@ -191,6 +198,7 @@ def _timeless(path: Path) -> list[dict[str, str]]:
     return [{key: value for key, value in row.items() if not key.startswith(("latency", "calibration"))} for row in rows]
 
 
+@pytest.mark.slow
 def test_quick_does_every_row_and_says_what_it_is(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run(made, "--quick")
     assert "not to be quoted" in capsys.readouterr().out
@@ -207,6 +215,7 @@ def test_quick_does_every_row_and_says_what_it_is(made: Path, capsys: pytest.Cap
 # --- the check
 
 
+@pytest.mark.slow
 def test_a_sound_table_passes(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Without the dataset: just what is needed of it is made, and the states are the same to the last bit."""
     run(copy, "--check")
@@ -218,6 +227,7 @@ def test_a_sound_table_passes(copy: Path, capsys: pytest.CaptureFixture[str]) ->
     assert not (copy / "data").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("file", "key", "column", "says"),
     [
@@ -244,6 +254,7 @@ def test_an_altered_number_is_found(
     assert "not confirmed: its files do not agree" in out_text
 
 
+@pytest.mark.slow
 def test_an_altered_page_is_found_and_rendered_again(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
     page = copy / "results" / "tiny" / "leaderboard.md"
     before = page.read_text(encoding="utf-8")
@@ -254,6 +265,7 @@ def test_an_altered_page_is_found_and_rendered_again(copy: Path, capsys: pytest.
     assert page.read_text(encoding="utf-8") == before
 
 
+@pytest.mark.slow
 def test_estimates_that_come_out_differently_fail(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A committed record of other errors than the rerun's: the row is named, and the exit code is 1."""
     path = copy / "results" / "tiny" / "records.json"
@@ -281,6 +293,7 @@ def test_tolerance_follows_the_spread() -> None:
     assert beyond_tolerance(committed, {"errors": {}}, tolerances) == [("rotation_error_rad", 0.1, float("inf"))]
 
 
+@pytest.mark.slow
 def test_choice_follows_table_and_commit(definition: Definition, results: Results) -> None:
     def picks(commit: str, table: str = "t") -> list[Chosen]:
         return choose(definition, results, table, commit)
@@ -291,6 +304,7 @@ def test_choice_follows_table_and_commit(definition: Definition, results: Result
     assert len({tuple(one.key for one in picks("a", table)) for table in "abcdefghij"}) > 1
 
 
+@pytest.mark.slow
 def test_check_without_a_table_says_so(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
     surgbench("reproduce", made / "tiny.yaml", "--check", "--out", made / "nowhere", expect=2)
     assert "records.json: missing" in capsys.readouterr().err
@@ -299,6 +313,7 @@ def test_check_without_a_table_says_so(made: Path, capsys: pytest.CaptureFixture
 # --- fingerprints
 
 
+@pytest.mark.slow
 def test_fingerprint_knows_estimates_and_not_times(made: Path) -> None:
     path = next((made / "results" / "tiny" / "records").rglob("*.json"))
 
@@ -395,6 +410,7 @@ def test_no_worse_than_published_is_met() -> None:
     assert not Pair(measure, 0.2, None, None).met
 
 
+@pytest.mark.slow
 def test_only_rows_with_a_published_one_are_compared(definition: Definition, results: Results) -> None:
     block = definition.table.blocks[0]
     found = compare(block, results.rows, definition.published, PUBLISHED)

@@ -77,6 +77,7 @@ ROWS = st.fixed_dictionaries(
 )
 
 
+@pytest.mark.slow
 @given(st.lists(ROWS))
 def test_csv_is_what_pythons_own_writer_makes_and_is_read_back(rows: list[dict[str, object]]) -> None:
     frame = to_frame(rows, ALL_TYPES)

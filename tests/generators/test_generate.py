@@ -100,6 +100,7 @@ def brute_force(instrument: Instrument, state: FloatArray, camera: Camera) -> np
     return hit.reshape(rows.shape)
 
 
+@pytest.mark.slow
 def test_rendered_masks_are_those_of_a_pixel_centre_rasteriser(instrument: Instrument) -> None:
     camera = Camera(width=88, height=62, fx=113.2, fy=109.1, cx=36.3, cy=29.4)
     renderer = MaskRenderer([instrument], camera)
@@ -111,6 +112,7 @@ def test_rendered_masks_are_those_of_a_pixel_centre_rasteriser(instrument: Instr
     assert seen >= 3
 
 
+@pytest.mark.slow
 def test_rendered_masks_are_those_of_the_evaluator(instrument: Instrument, camera: Camera) -> None:
     renderer, evaluator = MaskRenderer([instrument], camera), SilhouetteEvaluator([instrument], camera)
     pair = make_pair(load_preset("paper"), instrument, "fast", 200, generator(test=0))
@@ -404,6 +406,7 @@ def test_free_motion_keeps_the_numbers_it_had_before_there_were_kinematics(made:
     np.testing.assert_allclose(areas, [[1812, 575, 2387, 1812, 575, 2387], [1082, 693, 1775, 1082, 524, 1775]], atol=3)
 
 
+@pytest.mark.slow
 def test_same_bytes_again_and_other_bytes_for_another_seed(made: Path, tmp_path: Path) -> None:
     generate(plan_dataset(FEW), tmp_path / "again")
     assert contents(tmp_path / "again") == contents(made)
@@ -413,6 +416,7 @@ def test_same_bytes_again_and_other_bytes_for_another_seed(made: Path, tmp_path:
     assert same == []
 
 
+@pytest.mark.slow
 def test_two_jobs_write_what_one_writes(tmp_path: Path) -> None:
     preset = FEW.model_copy(update={"pairs": 1, "frames": 22, "camera": SMALL})
     done: list[float] = []
@@ -422,6 +426,7 @@ def test_two_jobs_write_what_one_writes(tmp_path: Path) -> None:
     assert sum(done) == 22
 
 
+@pytest.mark.slow
 def test_killed_and_started_again_gives_the_same_bytes(tmp_path: Path) -> None:
     text = f"name: few\npairs: 1\nframes: 30\ncamera: {SMALL.model_dump_json(exclude={'distortion'})}\n"
     (tmp_path / "preset.yaml").write_text(text)
@@ -456,6 +461,7 @@ def interrupted(command: list[str], out: Path, masks: int) -> tuple[int, str]:
     return process.returncode, said
 
 
+@pytest.mark.slow
 def test_ctrl_c_with_workers_leaves_no_wrong_mask(tmp_path: Path) -> None:
     (tmp_path / "preset.yaml").write_text("name: few\npairs: 1\nframes: 32\n")
     plan = plan_dataset(load_preset(tmp_path / "preset.yaml"))
@@ -475,6 +481,7 @@ def test_ctrl_c_with_workers_leaves_no_wrong_mask(tmp_path: Path) -> None:
     assert contents(out) == contents(tmp_path / "undisturbed")
 
 
+@pytest.mark.slow
 def test_where_ctrl_c_is_ignored_one_job_renders_in_a_worker(
     made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -487,6 +494,7 @@ def test_where_ctrl_c_is_ignored_one_job_renders_in_a_worker(
     assert contents(tmp_path / "out") == contents(made)
 
 
+@pytest.mark.slow
 def test_a_crash_after_some_frames_is_resumed_without_rendering_them_again(
     made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -690,6 +698,7 @@ def test_the_disk_estimate_covers_what_is_written(made: Path) -> None:
     assert blocks <= plan_dataset(FEW).disk_bytes + 2 * meshes + tables
 
 
+@pytest.mark.slow
 def test_a_full_disk_in_the_middle_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     count = 0
 
@@ -720,6 +729,7 @@ def test_an_unknown_instrument_is_named() -> None:
         plan_dataset(FEW.model_copy(update={"instrument": "large_nedle_driver"}))
 
 
+@pytest.mark.slow
 def test_a_part_has_the_same_files_as_the_whole(made: Path, tmp_path: Path) -> None:
     generate(plan_dataset(FEW, Part(("001",), 2)), tmp_path / "part")
     whole, part = contents(made), contents(tmp_path / "part")

@@ -342,6 +342,7 @@ def test_presets_of_one_task_are_not_those_of_the_other(capsys: pytest.CaptureFi
     assert "--sequences: input should be greater than or equal to 1, not 0" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_what_cannot_be_met_is_said_and_leaves_no_folder(tmp_path: Path) -> None:
     preset = ANY.model_copy(update={"share": (0.0, 0.0), "tries": 40})
     with pytest.raises(ConfigError, match=r"preset 'any': trial '000': none of 40 wires .* widen wire\.extent_m"):
@@ -349,6 +350,7 @@ def test_what_cannot_be_met_is_said_and_leaves_no_folder(tmp_path: Path) -> None
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_same_bytes_again_for_any_number_of_jobs_and_others_for_another_seed(tmp_path: Path) -> None:
     done: list[float] = []
     for name, jobs in (("one", 1), ("two", 2)):
@@ -368,6 +370,7 @@ def test_same_bytes_again_for_any_number_of_jobs_and_others_for_another_seed(tmp
     assert contents(tmp_path / "first")[name] == one[name]
 
 
+@pytest.mark.slow
 def test_a_crash_is_resumed_with_the_trial_in_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     make: Callable[[WireChaser, str], Trial] = module.make_trial
     made: list[str] = []
@@ -411,6 +414,7 @@ def size(out: Path) -> int:
     return bytes_
 
 
+@pytest.mark.slow
 def test_killed_and_started_again_as_a_user_does(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     text = "task: viewpoint\nname: few\ntrials: 25\nsamples: 200\nlevel: custom\nshare: [0, 1]\n"
     (tmp_path / "preset.yaml").write_text(text)
@@ -435,6 +439,7 @@ def test_a_workers_trial_is_called_off(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_the_disk_estimate_covers_what_is_written(tmp_path: Path) -> None:
     plan = WirePlan(ANY.model_copy(update={"samples": 3000, "trials": 1}))
     generate(plan, tmp_path / "out")

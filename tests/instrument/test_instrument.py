@@ -165,6 +165,7 @@ def test_pose_places_the_wrist_pitch_frame(driver: Instrument) -> None:
 finite = st.floats(-4.0, 4.0)
 
 
+@pytest.mark.slow
 @settings(max_examples=50)
 @given(st.lists(finite, min_size=9, max_size=9))
 def test_link_transforms_are_rigid(values: list[float]) -> None:
@@ -525,6 +526,7 @@ def pymeshlab_problem() -> str:
 PROBLEM = pymeshlab_problem()
 
 
+@pytest.mark.extras
 @pytest.mark.skipif(bool(PROBLEM), reason=PROBLEM)
 def test_holes_are_closed(tmp_path: Path) -> None:
     whole = trimesh.creation.icosphere(subdivisions=2, radius=0.005)
@@ -533,6 +535,7 @@ def test_holes_are_closed(tmp_path: Path) -> None:
     assert signed_volume(mesh.vertices_m, mesh.faces) == pytest.approx(whole.volume, rel=0.02)
 
 
+@pytest.mark.extras
 @pytest.mark.skipif(bool(PROBLEM), reason=PROBLEM)
 def test_parts_that_touch_along_an_edge_are_set_apart(tmp_path: Path) -> None:
     first, second = trimesh.creation.box([0.01] * 3), trimesh.creation.box([0.01] * 3)
@@ -546,6 +549,7 @@ def test_parts_that_touch_along_an_edge_are_set_apart(tmp_path: Path) -> None:
     assert signed_volume(mesh.vertices_m, mesh.faces) == pytest.approx(2e-6, rel=1e-4)
 
 
+@pytest.mark.extras
 @pytest.mark.skipif(bool(PROBLEM), reason=PROBLEM)
 def test_triangles_are_reduced(tmp_path: Path) -> None:
     ball = trimesh.creation.icosphere(subdivisions=4, radius=0.005)

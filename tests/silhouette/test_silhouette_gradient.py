@@ -7,12 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import assume, given, settings
-from hypothesis import strategies as st
-from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt
-from support import resting_state, rigid_instrument
-from test_silhouette import (
+from bodies import (
     BODIES,
     DEGENERATE,
     assert_counts_belong_to_mask,
@@ -22,6 +17,12 @@ from test_silhouette import (
     two_arm_states,
     zigzag,
 )
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
+from scipy.spatial import KDTree
+from support import resting_state, rigid_instrument
 
 from surgbench.camera import NEAR_M, Camera
 from surgbench.geometry import FloatArray, look_at_angles, look_at_rotation
@@ -210,6 +211,7 @@ def assert_averages_are_differences(evaluator: SilhouetteEvaluator, state: Float
     assert np.linalg.norm(ours - truth) < 0.01 * np.linalg.norm(truth)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", STATES)
 def test_the_gradient_averaged_over_steps_is_the_difference(name: str) -> None:
     arms = len(STATES[name]) // 9
@@ -382,7 +384,7 @@ def outline(mask: NDArray[np.bool_]) -> FloatArray:
 
 
 def distances_to(places: FloatArray, points: FloatArray) -> FloatArray:
-    return np.asarray(np.linalg.norm(places[:, None] - points[None], axis=2).min(axis=1))
+    return np.asarray(KDTree(points).query(places)[0])
 
 
 @pytest.mark.parametrize("name", STATES)
@@ -521,6 +523,7 @@ def assert_crossings_bound_the_mask(evaluator: SilhouetteEvaluator, state: Float
         assert np.array_equal(filled, mask[row])
 
 
+@pytest.mark.slow
 @settings(max_examples=60)
 @given(camera=cameras, body=st.sampled_from(sorted(BODIES)), state=poses)
 def test_crossings_of_bodies_bound_the_mask(camera: Camera, body: str, state: FloatArray) -> None:
@@ -529,6 +532,7 @@ def test_crossings_of_bodies_bound_the_mask(camera: Camera, body: str, state: Fl
     assert_crossings_bound_the_mask(evaluator_of(BODIES[body], camera), state)
 
 
+@pytest.mark.slow
 @settings(max_examples=30)
 @given(state=needle_driver_states)
 def test_crossings_of_a_needle_driver_bound_the_mask(small_camera: Camera, state: FloatArray) -> None:

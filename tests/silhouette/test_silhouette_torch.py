@@ -87,6 +87,7 @@ def scattered(rng: np.random.Generator, count: int, arms: int = 1) -> FloatArray
     return rng.uniform(low * arms, high * arms, (count, 9 * arms))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("arms", [1, 2])
 def test_counts_are_the_compiled_engines(camera: Camera, device: str, arms: int) -> None:
     instruments = [load_instrument("large_needle_driver")] * arms
@@ -105,6 +106,7 @@ needle_driver_states = st.tuples(
 ).map(np.array)  # fmt: skip
 
 
+@pytest.mark.slow
 @settings(max_examples=40)
 @given(state=needle_driver_states)
 def test_any_pose_has_the_compiled_engines_mask(small_camera: Camera, device: str, state: FloatArray) -> None:
@@ -117,6 +119,7 @@ def test_any_pose_has_the_compiled_engines_mask(small_camera: Camera, device: st
     assert score.overlap[0] == np.count_nonzero(mask & reference.mask)
 
 
+@pytest.mark.slow
 @settings(max_examples=30)
 @given(left=needle_driver_states, right=needle_driver_states)
 def test_two_arms_count_their_union_once(
@@ -128,6 +131,7 @@ def test_two_arms_count_their_union_once(
     assert np.count_nonzero(pair.mask(np.concatenate([left, right])) != union) <= batch_tolerance_px(device)
 
 
+@pytest.mark.slow
 def test_bodies_that_the_near_plane_cuts(small_camera: Camera, device: str) -> None:
     """Holes, concave outlines and parts within each other, with the plane anywhere in them."""
     box, ring = trimesh.creation.box((0.02, 0.03, 0.05)), trimesh.creation.torus(0.02, 0.006, 12, 8)
@@ -182,6 +186,7 @@ def test_impossible_states_cover_nothing_and_harm_no_other(small_camera: Camera,
     assert not evaluator.mask(mixed[0]).any()
 
 
+@pytest.mark.slow
 def test_batches_and_memory_change_nothing(small_camera: Camera, device: str) -> None:
     instruments = [load_instrument("large_needle_driver")]
     states = scattered(np.random.default_rng(7), 61)
@@ -198,6 +203,7 @@ def test_batches_and_memory_change_nothing(small_camera: Camera, device: str) ->
         np.testing.assert_allclose(found.overlap, expected.overlap, rtol=0, atol=tolerance_px)
 
 
+@pytest.mark.slow
 def test_integer_images_are_summed(small_camera: Camera, device: str) -> None:
     ours, theirs = evaluators([load_instrument("large_needle_driver")], small_camera, device)
     states = resting_state() + 0.01 * np.arange(6)[:, None]

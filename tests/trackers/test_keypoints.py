@@ -162,6 +162,7 @@ def test_a_weak_peak_does_not_stand_out() -> None:
 # The network and its file.
 
 
+@pytest.mark.slow
 def test_normalisations_fold_into_convolutions() -> None:
     torch.manual_seed(0)
     network = HeatmapNetwork(SMALL)
@@ -263,6 +264,7 @@ def test_the_model_is_small_and_says_where_it_is_from() -> None:
     assert (folder / "log.csv").read_text().startswith("epoch,")
 
 
+@pytest.mark.slow
 def test_it_finds_the_tips_of_masks_that_it_was_not_trained_on(source: ResNet18Keypoints, camera: Camera) -> None:
     """Bounds of the issue, on few masks; results/keypoints has many."""
     published = HELD_OUT.model_copy(update={"corruption": {"published": 1.0}})
@@ -356,6 +358,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_it_is_the_default_without_readings_and_its_time_counts(dataset: Path, tmp_path: Path) -> None:
     surgbench("run", "--dataset", dataset, "--tracker", "hybrid", "--sequences", 1, "--out", tmp_path)
     (record,) = records(tmp_path)
@@ -368,6 +371,7 @@ def test_it_is_the_default_without_readings_and_its_time_counts(dataset: Path, t
         assert 0 < part < whole
 
 
+@pytest.mark.slow
 def test_with_readings_the_datasets_own_tips_are_the_default(dataset: Path, tmp_path: Path) -> None:
     surgbench("run", "--dataset", dataset, "--tracker", "hybrid", "--joints", "--sequences", 1, "--out", tmp_path)
     assert records(tmp_path)[0]["spec"]["keypoints"]["name"] == "observed"
@@ -381,6 +385,7 @@ def test_a_missing_model_is_one_line(dataset: Path, tmp_path: Path, capsys: pyte
     assert complaint.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_a_damaged_model_costs_its_runs_one_line(dataset: Path, tmp_path: Path) -> None:
     damaged(tmp_path / "broken.safetensors")
     out = tmp_path / "runs"
@@ -392,6 +397,7 @@ def test_a_damaged_model_costs_its_runs_one_line(dataset: Path, tmp_path: Path) 
     assert "no readable safetensors file" in record["error"]
 
 
+@pytest.mark.slow
 def test_sources_are_measured_side_by_side(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     surgbench("bench", "keypoints", "--masks", 30, "--json", "--out", tmp_path)
     rows = json.loads(capsys.readouterr().out)

@@ -122,6 +122,7 @@ def test_xnes_finds_a_minimum_and_counts_nan_as_worst() -> None:
     assert np.abs(search.mean - 3.0).max() < 1e-2
 
 
+@pytest.mark.slow
 def test_adam_is_that_of_torch_step_by_step() -> None:
     start = np.array([1.0, -2.0, 0.5])
     theirs = torch.tensor(start, requires_grad=True)

@@ -234,6 +234,7 @@ def test_trace_holds_the_candidates_best_first(small_camera: Camera) -> None:
 # --- initialisers
 
 
+@pytest.mark.slow
 def test_random_initialiser_needs_no_hint(camera: Camera) -> None:
     scene = scene_of(camera)
     truth = resting_state(0.14)
@@ -267,6 +268,7 @@ def test_random_initialiser_refuses_an_empty_mask(small_camera: Camera) -> None:
         RandomInitialiser().initialise(scene, frame, np.random.default_rng(0), None, lambda _: None)
 
 
+@pytest.mark.slow
 def test_random_initialiser_tells_two_arms_apart(camera: Camera) -> None:
     scene = scene_of(camera, arms=2)
     left, right = resting_state(), resting_state()

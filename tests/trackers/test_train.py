@@ -50,6 +50,7 @@ def trained(folder: Path, patches: Patches, settings: TrainingSettings = SHORT, 
     return training
 
 
+@pytest.mark.slow
 def test_it_learns(tmp_path: Path, patches: Patches) -> None:
     trained(tmp_path, patches, SHORT.model_copy(update={"epochs": 40, "learning_rate": 0.01}))
     log = list(csv.DictReader((tmp_path / "log.csv").read_text().splitlines()))
@@ -58,6 +59,7 @@ def test_it_learns(tmp_path: Path, patches: Patches) -> None:
     assert losses[-1] < 0.75 * losses[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("width", [NETWORK.width, LEAST_CHANNELS_LAST])
 def test_gradients_are_right_in_either_memory_format(tmp_path: Path, patches: Patches, width: int) -> None:
     """Against double precision, which takes other kernels."""
@@ -76,6 +78,7 @@ def test_gradients_are_right_in_either_memory_format(tmp_path: Path, patches: Pa
         assert error < 1e-3, name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("width", [NETWORK.width, LEAST_CHANNELS_LAST])
 def test_an_interrupted_training_ends_like_an_uninterrupted_one(tmp_path: Path, patches: Patches, width: int) -> None:
     """To the last bit: the weights, and the log but for its times; in either memory format."""
@@ -103,18 +106,21 @@ def test_an_interrupted_training_ends_like_an_uninterrupted_one(tmp_path: Path, 
     assert logs[0] == logs[1]
 
 
+@pytest.mark.slow
 def test_it_stops_when_the_validation_loss_does_not_fall(tmp_path: Path, patches: Patches) -> None:
     still = SHORT.model_copy(update={"epochs": 30, "patience": 2, "learning_rate": 1e-12})
     training = trained(tmp_path, patches, still)
     assert training.epoch < 30
 
 
+@pytest.mark.slow
 def test_a_folder_of_other_settings_is_refused(tmp_path: Path, patches: Patches) -> None:
     trained(tmp_path, patches, masks=16)
     with pytest.raises(SurgbenchError, match="other settings"):
         Training(tmp_path, NETWORK, SHORT, 0, "cpu", {"masks": 17})
 
 
+@pytest.mark.slow
 def test_it_begins_with_another_models_weights(tmp_path: Path, patches: Patches) -> None:
     trained(tmp_path / "first", patches)
     start = tmp_path / "first" / "weights.safetensors"
@@ -129,6 +135,7 @@ def test_it_begins_with_another_models_weights(tmp_path: Path, patches: Patches)
         Training(tmp_path / "third", larger, still, 7, "cpu", {}, start)
 
 
+@pytest.mark.slow
 def test_a_damaged_state_is_told(tmp_path: Path, patches: Patches) -> None:
     trained(tmp_path, patches)
     path = tmp_path / "training.safetensors"
@@ -138,6 +145,7 @@ def test_a_damaged_state_is_told(tmp_path: Path, patches: Patches) -> None:
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.slow
 def test_global_randomness_is_left_alone(tmp_path: Path, patches: Patches) -> None:
     torch.manual_seed(5)
     expected = torch.rand(3)

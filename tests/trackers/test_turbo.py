@@ -105,6 +105,7 @@ def search(turbo: Any, function: Any, batches: int, seed: int = 0) -> tuple[Floa
     return np.concatenate(points), np.concatenate(found)
 
 
+@pytest.mark.extras
 def test_turbo_finds_a_minimum_at_the_seam_of_a_periodic_coordinate(turbo: Any) -> None:
     points, found = search(turbo, lambda x: np.log(bowl(x) + 1e-6), 8)
     chance = np.log(bowl(np.random.default_rng(1).random((80, 3))) + 1e-6)
@@ -115,6 +116,7 @@ def test_turbo_finds_a_minimum_at_the_seam_of_a_periodic_coordinate(turbo: Any) 
     assert (late > 0.8).any()
 
 
+@pytest.mark.extras
 def test_turbo_is_deterministic_and_leaves_global_state_alone(turbo: Any) -> None:
     import torch
 
@@ -129,6 +131,7 @@ def test_turbo_is_deterministic_and_leaves_global_state_alone(turbo: Any) -> Non
     assert (torch.get_num_threads(), torch.get_default_dtype()) == (threads, dtype)
 
 
+@pytest.mark.extras
 def test_a_collapsed_region_is_left(turbo: Any) -> None:
     """On a flat function nothing improves; then a new Latin hypercube begins, one point in each tenth."""
     optimiser = turbo.Turbo(PERIODIC, 10, np.random.default_rng(0))
@@ -141,6 +144,7 @@ def test_a_collapsed_region_is_left(turbo: Any) -> None:
     np.testing.assert_array_equal(tenths, np.arange(10.0)[:, None].repeat(3, axis=1))
 
 
+@pytest.mark.extras
 def test_values_that_are_not_finite_are_the_worst(turbo: Any) -> None:
     def broken(points: FloatArray) -> FloatArray:
         return np.where(points[:, 0] > 0.7, np.inf, np.log(bowl(points) + 1e-6))
@@ -150,6 +154,7 @@ def test_values_that_are_not_finite_are_the_worst(turbo: Any) -> None:
     assert (points[30:, 0] < 0.7).mean() > 0.7
 
 
+@pytest.mark.extras
 def test_the_gaussian_process_knows_circles_and_which_coordinate_matters(turbo: Any) -> None:
     rng = np.random.default_rng(0)
     points = rng.random((60, 3))
@@ -174,6 +179,7 @@ LOW_BUDGET: dict[str, Any] = {
 }
 
 
+@pytest.mark.extras
 def test_turbo_initialiser_finds_the_instrument(turbo: Any, small_camera: Camera) -> None:
     scene = scene_of(small_camera)
     truth = resting_state(0.14)
@@ -192,6 +198,7 @@ def test_turbo_initialiser_finds_the_instrument(turbo: Any, small_camera: Camera
     assert once[-1] == 1.0
 
 
+@pytest.mark.extras
 def test_turbo_initialiser_uses_tips_and_readings(turbo: Any, small_camera: Camera) -> None:
     scene = scene_of(small_camera)
     truth = resting_state(0.14)
@@ -205,6 +212,7 @@ def test_turbo_initialiser_uses_tips_and_readings(turbo: Any, small_camera: Came
     assert np.linalg.norm(small_camera.project(scene.instruments[0].tips_cam(state)) - tips, axis=1).max() < 12
 
 
+@pytest.mark.extras
 def test_turbo_initialiser_tells_two_arms_apart(turbo: Any, small_camera: Camera) -> None:
     scene = scene_of(small_camera, arms=2)
     left, right = resting_state(), resting_state()
@@ -215,6 +223,7 @@ def test_turbo_initialiser_tells_two_arms_apart(turbo: Any, small_camera: Camera
     assert state[3] < 0 < state[12]
 
 
+@pytest.mark.extras
 def test_turbo_initialiser_refuses_an_empty_mask(turbo: Any, small_camera: Camera) -> None:
     scene = scene_of(small_camera)
     frame = observe(scene, resting_state(-1.0))

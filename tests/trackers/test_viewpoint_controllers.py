@@ -552,6 +552,7 @@ def test_the_codes_sleep_is_in_flagged_steps_only(monkeypatch: pytest.MonkeyPatc
 # Whatever happens.
 
 
+@pytest.mark.slow
 @settings(max_examples=100)
 @given(st.sampled_from(CONTROLLERS), st.integers(0, 2**32 - 1))
 def test_no_world_brings_them_beyond_the_limits(name: str, seed: int) -> None:

@@ -82,6 +82,7 @@ def test_rows_are_of_subsets_that_make_up_the_whole(runs: Path) -> None:
         assert record["spec"]["row_id"] != "gaze" or (depths < NO_GO_TOLERANCE_M).all()
 
 
+@pytest.mark.slow
 def test_the_same_again_runs_nothing_and_another_run_gives_the_same_course(
     dataset: Path, runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -96,6 +97,7 @@ def test_the_same_again_runs_nothing_and_another_run_gives_the_same_course(
     assert short["variant"] == "first 120 frames"
 
 
+@pytest.mark.slow
 def test_pictures_agree_with_geometry(dataset: Path, tmp_path: Path) -> None:
     """The ring's centre by the tags in rendered pictures is where the true poses have it."""
     surgbench(
@@ -134,6 +136,7 @@ def test_reports(runs: Path, form: str, capsys: pytest.CaptureFixture[str]) -> N
         assert "VVA" in out
 
 
+@pytest.mark.slow
 def test_registration_and_the_missing_face_are_settings(dataset: Path, runs: Path, tmp_path: Path) -> None:
     """A rigid registration brings the true view nearer to the reported one."""
     surgbench(
@@ -160,6 +163,7 @@ class PatientChild(Child):
         super().send(*message)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "status", "message", "steps"),
     [
@@ -243,6 +247,7 @@ def reproduce(folder: Path, *arguments: object, expect: int = 0) -> None:
     surgbench("reproduce", folder / "tiny.yaml", *places, *arguments, expect=expect)
 
 
+@pytest.mark.slow
 def test_a_table_stands_beside_the_published_figures(made: Path) -> None:
     folder = made / "results" / "tiny"
     page = (folder / "leaderboard.md").read_text(encoding="utf-8")
@@ -257,6 +262,7 @@ def test_a_table_stands_beside_the_published_figures(made: Path) -> None:
     assert float(gaze["vva_deg"]) == pytest.approx(np.mean(own))
 
 
+@pytest.mark.slow
 def test_a_table_can_be_checked_and_a_slip_of_the_hand_is_found(
     made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -270,6 +276,7 @@ def test_a_table_can_be_checked_and_a_slip_of_the_hand_is_found(
     assert "its files do not agree" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_quick_tables_are_short(made: Path) -> None:
     reproduce(made, "--quick")
     page = (made / "results" / "tiny-quick" / "leaderboard.md").read_text(encoding="utf-8")
@@ -277,6 +284,8 @@ def test_quick_tables_are_short(made: Path) -> None:
     assert "| Gaze | `gaze` | 60 |" in page
 
 
+@pytest.mark.slow
+@pytest.mark.extras
 def test_figures_are_drawn_where_matplotlib_is(made: Path) -> None:
     pytest.importorskip("matplotlib")
     folder = made / "results" / "tiny"
