@@ -110,7 +110,12 @@ def run(job: Job, dataset: InstrumentDataset, told: str, load: int, frames: int)
                 if index % EVERY == EVERY - 1:
                     reference_ms += reference.calibrate()
             after = switches(child.pid)
-    counted = Switches(after.threads, *(b - a for a, b in zip(before[1:], after[1:], strict=True)))
+    counted = Switches(
+        after.threads,
+        after.cpu_s - before.cpu_s,
+        after.given_up - before.given_up,
+        after.taken_away - before.taken_away,
+    )
     return Timing(frame_ms, reference_ms, counted)
 
 
