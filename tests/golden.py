@@ -29,6 +29,8 @@ from surgbench.suite.environment import environment
 from surgbench.suite.plan import complete
 
 FRAMES, SAMPLES = 3, 100
+# A controller may take another turn later on another processor (docs/dataset.md).
+STEPS = 50
 # Hashes are of a plug-in's text and of the engine's, which may change: names and options may not.
 SOURCE_HASH, ENGINE = "@", "engine"
 
