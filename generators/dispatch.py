@@ -33,7 +33,14 @@ def plan_preset(name_or_path: str | Path, request: GenerationRequest = Generatio
         generator = create(_generator(content, path.parent), {})
     except SurgbenchError as error:
         raise type(error)(f"{path}: {error}") from None
-    plan: GenerationPlan = generator.plan(path, request)
+    try:
+        plan: GenerationPlan = generator.plan(path, request)
+    except SurgbenchError:
+        raise
+    except Exception as error:  # a stranger's generator
+        raise ConfigError(f"{path}: generator '{generator.name}' raised {type(error).__name__}: {error}") from error
+    if not hasattr(plan, "write"):
+        raise ConfigError(f"{path}: generator '{generator.name}' gave {type(plan).__name__}, which is no plan")
     return plan
 
 

@@ -89,8 +89,7 @@ def _plugin_classes(module: Any, kind: str) -> list[type]:
 def discover(kind: str) -> dict[str, Found]:
     """All plug-ins of a kind by name. One that fails to import is listed with its problem, and harms no other.
 
-    Raises:
-        ConfigError: Two plug-ins have the same name.
+    So are two of one name.
     """
     found: list[Found] = []
     place = KINDS[kind]
@@ -109,21 +108,27 @@ def discover(kind: str) -> dict[str, Found]:
             found.append(Found(info.name, source, None, f"{type(error).__name__}: {error}"))
     for point in entry_points(group=place.group):
         try:
-            cls = _checked(point.load(), kind, point.value)
+            cls: Any = _checked(point.load(), kind, point.value)
+            if kind == "task" and cls.name != point.name:  # datasets name their task
+                raise ConfigError(f"the entry point is called '{point.name}', its class '{cls.name}'")
             found.append(Found(point.name, point.value, cls, module=point.module))
         except Exception as error:
             found.append(Found(point.name, point.value, None, f"{type(error).__name__}: {error}"))
     by_name: dict[str, Found] = {}
     for one in found:
-        if one.name in by_name:
-            raise ConfigError(f"two {kind}s are named '{one.name}': {by_name[one.name].source} and {one.source}")
+        if one.name in by_name:  # neither is meant, and the others are as good as before
+            problem = f"two {kind}s are named '{one.name}': {by_name[one.name].source} and {one.source}"
+            one = Found(one.name, one.source, None, problem)
         by_name[one.name] = one
     return by_name
 
 
 def default_task_name() -> str:
     """The task of what names none."""
-    return next(name for name, found in discover("task").items() if getattr(found.cls, "default", False))
+    names = [name for name, found in discover("task").items() if getattr(found.cls, "default", False)]
+    if len(names) != 1:
+        raise ConfigError(f"one task has to be the default one, not {len(names)} ({', '.join(names) or 'none'})")
+    return names[0]
 
 
 def _checked(cls: Any, kind: str, source: str) -> type:
@@ -209,15 +214,15 @@ def configure(found: Found, options: dict[str, Any]) -> BaseModel | None:
 def describe(found: Found) -> list[tuple[str, Any, str]]:
     """Options of a plug-in: dotted name, default, and what it means."""
     model = getattr(found.cls, "Config", None)
-    return [] if model is None else _describe(model(), "")
+    return [] if model is None else _describe(model, "")
 
 
-def _describe(config: BaseModel, prefix: str) -> list[tuple[str, Any, str]]:
+def _describe(model: type[BaseModel], prefix: str) -> list[tuple[str, Any, str]]:
     options: list[tuple[str, Any, str]] = []
-    for key, info in type(config).model_fields.items():
-        value = getattr(config, key)
+    for key, info in model.model_fields.items():
+        value = "(required)" if info.is_required() else info.get_default(call_default_factory=True)
         if isinstance(value, BaseModel):
-            options += _describe(value, f"{prefix}{key}.")
+            options += _describe(type(value), f"{prefix}{key}.")
         else:
             options.append((f"{prefix}{key}", value, info.description or ""))
     return options

@@ -75,7 +75,7 @@ def engine_modules(plugins: Iterable[str], task: Iterable[str]) -> frozenset[Mod
         plugins: Names of imported modules of plug-ins; what these import of the engine counts.
         task: Names of a task's modules; no others of its package count.
     """
-    named = [module for name in task for module in _locate(name, None) if module.name == name]
+    named = [Module(name, path) for name in task if (path := _installed(name.split("."))) is not None]
     starts = [*filter(None, map(_imported, plugins)), *named]
     homes = {module.home for module in starts} - {module.home for module in named}
 
@@ -83,6 +83,17 @@ def engine_modules(plugins: Iterable[str], task: Iterable[str]) -> frozenset[Mod
         return module in named or (module.home == (None, ENGINE) and not module.is_plumbing)
 
     return frozenset(filter(is_engine, _reached(starts, lambda module: module.home in homes or is_engine(module))))
+
+
+def package_modules(name: str) -> tuple[str, ...]:
+    """Names of all modules of the package that an imported module is in, or of itself where it is in none."""
+    package = name.rpartition(".")[0]
+    found = _imported(package) if package else None
+    if found is None:
+        return (name,)
+    folder = found.path.parent
+    inside = (path.relative_to(folder).with_suffix("").parts for path in sorted(folder.rglob("*.py")))
+    return tuple(".".join((package, *(parts[:-1] if parts[-1] == "__init__" else parts))) for parts in inside)
 
 
 def hash_modules(modules: Iterable[Module]) -> str:
@@ -141,16 +152,16 @@ def _imported_names(module: Module) -> Iterator[str]:
             yield f"{whole}.{member}" if whole else member
 
 
-def _locate(name: str, importer: Module | None) -> list[Module]:
+def _locate(name: str, importer: Module) -> list[Module]:
     """The modules of a dotted name, those of its packages too, where they are of the importer's home or the engine."""
     parts = name.split(".")
-    if importer is not None and importer.folder is not None and lies_beside(importer.folder, parts[0]):
+    if importer.folder is not None and lies_beside(importer.folder, parts[0]):
         return [
             Module(".".join(parts[:count]), path, importer.folder)
             for count in range(1, len(parts) + 1)
             if (path := _file(importer.folder, parts[:count])) is not None
         ]
-    if parts[0] != ENGINE and (importer is None or parts[0] != importer.name.split(".")[0]):
+    if parts[0] not in (ENGINE, importer.name.split(".")[0]):
         return []
     found = []
     for count in range(1, len(parts) + 1):

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -44,8 +45,8 @@ class Task(ABC):
         summary: One line.
         default: Manifests, trackers and presets that name no task are of this one.
         made_by: Names of its modules that make estimates and measure errors. With what they import of the engine, they
-            are part of what records depend on; what only plans, writes and shows is not. Where none are named, it is
-            the module that the class is from.
+            are part of what records depend on; what only plans, writes and shows is not. Where none are named, all
+            modules of its package are.
         parts: Columns that tell apart several rows of one run, and their values in the row that stands for the whole.
         first_check: The check that a tracker must get through before it is put to the others.
         may_refuse: Checks that a tracker may answer with a :class:`~surgbench.errors.SurgbenchError`: it does not do
@@ -216,7 +217,10 @@ def find_task(name: str) -> Task:
         raise NotFoundError(unknown_name("task", name, task_names()))
     if found.cls is None:
         raise ConfigError(f"task '{name}' ({found.source}) cannot be loaded: {found.problem}")
-    task: Task = found.cls()
+    try:
+        task: Task = found.cls()
+    except Exception as error:
+        raise ConfigError(f"task '{name}' ({found.source}) cannot be used: {error}") from error
     return task
 
 
@@ -232,5 +236,9 @@ def default_task() -> Task:
 
 
 def all_tasks() -> tuple[Task, ...]:
-    """All tasks, the default one first."""
-    return tuple(find_task(name) for name in task_names())
+    """All tasks, the default one first, without those that cannot be used: they harm no other."""
+    tasks = []
+    for name in task_names():
+        with suppress(ConfigError):
+            tasks.append(find_task(name))
+    return tuple(tasks)

@@ -42,7 +42,7 @@ def settings_hashes(data: Path) -> dict[str, str]:
         for block in load_table(name).table.blocks:
             dataset = open_dataset(_small(block, data))
             for row in block.rows:
-                spec = complete(row.asked(quick=False), block.protocol, dataset).spec()
+                spec = complete(row.asked(quick=False), block.conditions, dataset).spec()
                 found[f"{name}/{block.name}/{row.id}"] = sha256_text(canonical_json(_without_sources(spec)))[:16]
     return found
 

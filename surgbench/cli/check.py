@@ -28,6 +28,7 @@ def tracker(
     on in another process (docs/trackers.md). No dataset is needed. The exit code is 1 if a check failed.
     FILE.py:Class runs that file with your rights.
     """
+    from surgbench.conformance.checks import checks_of
     from surgbench.conformance.conduct import conduct
     from surgbench.conformance.subject import Subject
     from surgbench.errors import ConfigError
@@ -45,6 +46,8 @@ def tracker(
     if reason is not None:
         print("[]" if as_json else f"{found.name} cannot run here: {reason}")
         return
+    if not checks_of(Subject(reference)):
+        raise ConfigError(f"the {found.task} task has no checks")
     outcomes = conduct(
         Subject(reference, chosen, budget), timeout, report=(lambda _: None) if as_json else _print_outcome
     )

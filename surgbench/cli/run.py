@@ -53,7 +53,7 @@ def run(
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be run, and run nothing.")] = False,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of records.")] = Path("runs"),
 ) -> None:
-    """Run trackers, or viewpoint controllers, on a dataset; every run becomes a record, and is not run again.
+    """Run trackers on a dataset; every run becomes a record, and is not run again.
 
     Example: surgbench run --dataset data/mini --tracker cmaes --set cmaes.iterations=5
 

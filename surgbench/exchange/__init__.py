@@ -1,1 +1,1 @@
-"""Importers and exporters, one file each: other people's formats."""
+"""Importers, one file each: other people's formats."""

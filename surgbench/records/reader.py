@@ -13,7 +13,7 @@ from pydantic import ValidationError
 from surgbench.errors import DatasetError, NotFoundError
 from surgbench.geometry import FloatArray
 from surgbench.records.format import FORMAT_STEM, FORMATS, RECORD_FORMAT, SKIPPED, Record
-from surgbench.records.seal import check_seal
+from surgbench.records.seal import SEAL, check_seal
 from surgbench.task import find_task
 
 R = TypeVar("R", bound=Record)
@@ -40,6 +40,8 @@ def read_record(path: Path) -> Record | None:
         raise DatasetError(f"{path}: cannot be read ({error.strerror})") from None
     found = content.get("format") if isinstance(content, dict) else None
     if not isinstance(found, str) or not found.startswith(FORMAT_STEM):
+        if isinstance(content, dict) and {"spec_hash", SEAL} & content.keys():
+            raise DatasetError(f"{path}: a record with the format {found!r}; delete it and run again")
         return None
     if found not in FORMATS:
         raise DatasetError(f"{path}: record format '{found}' is not known here (known: {', '.join(FORMATS)})")

@@ -33,7 +33,8 @@ def check_seal(record: dict[str, Any], path: Path) -> None:
     """
     changed = [] if record.get("spec_hash") == short_hash(record.get("spec")) else ["its 'spec'"]
     try:
-        if record.get("format") != UNSEALED_FORMAT and record.get(SEAL) != seal(record):
+        unsealed = record.get("format") == UNSEALED_FORMAT and SEAL not in record
+        if not unsealed and record.get(SEAL) != seal(record):
             changed = changed or ["its content"]
     except ValueError:  # NaN, which is never written
         changed = changed or ["its content"]

@@ -174,7 +174,7 @@ def _run_again(
 
 def _job(block: Block, chosen: Chosen, dataset: Dataset[Any]) -> Job:
     asked = chosen.row.asked(quick=False).model_copy(update={"sequences": None, "frames": chosen.frames})
-    settings = complete(asked, block.protocol, dataset)
+    settings = complete(asked, block.conditions, dataset)
     return next(job for job in plan_jobs(settings, dataset) if job.unit.id == chosen.unit and job.repeat == 0)
 
 

@@ -83,7 +83,7 @@ class TableRow(RowRequest):
 
 
 class Block(Section):
-    """Rows that share a dataset and a protocol.
+    """Rows that share a dataset and conditions.
 
     Attributes:
         name: A word.
@@ -91,7 +91,7 @@ class Block(Section):
         note: The protocol in words.
         dataset: What to generate.
         quick_sequences: Ids of the dataset's sequences that a quick run makes.
-        protocol: What all rows share.
+        conditions: What all rows share.
         defaults: What its rows ask for where they do not say.
         published_on: Which of the published rows' datasets the block stands for.
         rows: In the order they are shown.
@@ -102,7 +102,7 @@ class Block(Section):
     note: str = ""
     dataset: DatasetRequest
     quick_sequences: Annotated[tuple[str, ...], Field(min_length=1)]
-    protocol: Conditions = Conditions()
+    conditions: Conditions = Conditions()
     defaults: dict[str, Any] = Field(default={})
     published_on: str | None = None
     rows: Annotated[tuple[TableRow, ...], Field(min_length=1)]

@@ -34,11 +34,11 @@ def plan_block(table: Table, block: Block, dataset: Dataset[Any], quick: bool) -
             runs = min(asked.sequences or table.quick.runs, table.quick.runs)
             frames = min(asked.frames or table.quick.frames, table.quick.frames)
             asked = asked.model_copy(update={"sequences": runs, "frames": frames})
-        settings = complete(asked, block.protocol, dataset)
+        settings = complete(asked, block.conditions, dataset)
         timing: list[Job] = []
         if not quick:
             timing = plan_jobs(
-                complete(_timed(task.timed(asked), row.timing or table.timing), block.protocol, dataset), dataset
+                complete(_timed(task.timed(asked), row.timing or table.timing), block.conditions, dataset), dataset
             )
         works.append(RowWork(row, settings.hash, tuple(plan_jobs(settings, dataset)), tuple(timing)))
     return BlockWork(block, dataset, tuple(works))

@@ -11,7 +11,7 @@ from pydantic import create_model
 from surgbench.dataset.base import Dataset
 from surgbench.errors import ConfigError
 from surgbench.registry import find
-from surgbench.sources import engine_modules, hash_modules
+from surgbench.sources import engine_modules, hash_modules, package_modules
 from surgbench.suite.asked import Conditions, RowRequest
 from surgbench.suite.settings import Job, Settings
 from surgbench.suite.slices import spread
@@ -49,7 +49,7 @@ def complete(row: RowRequest, conditions: Conditions, dataset: Dataset[Any]) -> 
 def _engine(task: Task, settings: Settings) -> str:
     """Hash of the code besides plug-ins that makes the estimates and errors of a row."""
     plugins = [name for plug in settings.plugs for name in find(plug.kind, plug.reference).modules]
-    return hash_modules(engine_modules(plugins, task.made_by or (type(task).__module__,)))
+    return hash_modules(engine_modules(plugins, task.made_by or package_modules(type(task).__module__)))
 
 
 def _own(row: RowRequest, model: type[RowRequest], dataset: Dataset[Any]) -> RowRequest:

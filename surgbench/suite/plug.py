@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 from surgbench.errors import ConfigError
@@ -32,3 +33,12 @@ def plug(kind: str, reference: str, options: dict[str, dict[str, Any]], task: st
     needs_truth = bool(getattr(found.cls, "needs_truth", False))
     source = f"{found.source}@{found.hash}"
     return Plug(kind, reference, found.name, source, effective, changed, needs_truth, found.unavailable)
+
+
+def edited(plugs: Iterable[Plug]) -> str | None:
+    """One line on a plug-in whose text is another one now than when it was looked up; ``None`` where none is."""
+    for one in plugs:
+        found = find(one.kind, one.reference)
+        if one.source != f"{found.source}@{found.hash}":
+            return f"the source of {one.kind} '{one.name}' was edited during the run; run it again"
+    return None

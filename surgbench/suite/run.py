@@ -23,6 +23,7 @@ from surgbench.records.seal import check_seal, sealed
 from surgbench.suite.claim import LOCK_SUFFIX, cannot_write, claim
 from surgbench.suite.environment import environment
 from surgbench.suite.head import head, skipped
+from surgbench.suite.plug import edited
 from surgbench.suite.running import Run
 from surgbench.suite.settings import Job
 from surgbench.task import find_task
@@ -196,6 +197,9 @@ def run(
             if under_way.stopping:
                 return None
             part.advance(job.frames - part.done)  # what a failed run never reached
+            change = edited(job.settings.plugs)
+            if change is not None:  # the record would be that of a text that nobody has run
+                done = {**done, "status": "failed", "error": change}
         about = head(job, dataset, environment(job.settings.conditions.device))
         record = sealed({**about, "calibration_ms": part.calibration_ms, **done})
         check_written(record, out / job.path)

@@ -158,7 +158,8 @@ def test_entry_points_are_found_and_broken_ones_are_listed(monkeypatch: pytest.M
         points.append(EntryPoint("cmaes", "surgbench.trackers.cmaes:CmaesTracker", "surgbench.trackers"))
         discover.cache_clear()
         with pytest.raises(ConfigError, match="two trackers are named 'cmaes'"):
-            discover("tracker")
+            find("tracker", "cmaes")
+        assert find("tracker", "hybrid").problem is None
     finally:
         discover.cache_clear()
 

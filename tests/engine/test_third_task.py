@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -21,10 +22,10 @@ class Twice:
 """
 
 
-def surgbench(*arguments: object, expect: int = 0) -> str:
+def surgbench(*arguments: object, expect: int = 0, installed: Path = TOY) -> str:
     """The command in a process of its own, in which the stranger's package is installed."""
     code = "from surgbench.cli import main; main()"
-    path = os.pathsep.join([str(TOY), *filter(None, [os.environ.get("PYTHONPATH")])])
+    path = os.pathsep.join([str(installed), *filter(None, [os.environ.get("PYTHONPATH")])])
     done = subprocess.run(
         [sys.executable, "-c", code, *map(str, arguments)],
         capture_output=True,
@@ -74,3 +75,30 @@ def test_without_the_package_its_data_are_one_line(dataset: Path, monkeypatch: p
 
     with pytest.raises(DatasetError, match=r"'task': unknown task 'counting'.*valid: instrument, viewpoint"):
         open_dataset(dataset)
+
+
+def test_records_depend_on_all_of_its_package(dataset: Path, tmp_path: Path) -> None:
+    """Its worker makes the estimates, though nothing of the engine imports it."""
+    toy = shutil.copytree(TOY, tmp_path / "toy")
+    run = ("run", "--dataset", dataset, "--tracker", "counter", "--sequences", 1, "--out", tmp_path / "runs")
+    surgbench(*run, installed=toy)
+    surgbench(*run, installed=toy)
+    assert len(list((tmp_path / "runs").rglob("*-r0.json"))) == 1
+    worker = toy / "surgbench_toy" / "worker.py"
+    worker.write_text(worker.read_text().replace("float(tracker.step(value))", "float(tracker.step(value)) / 2"))
+    surgbench(*run, installed=toy)
+    rows = json.loads(surgbench("report", tmp_path / "runs", "--format", "json", installed=toy))
+    assert sorted(row["count_error"] > 0 for row in rows) == [False, True]
+
+
+@pytest.mark.parametrize(
+    "text", ["raise OSError('no licence')", "from surgbench.task import Task\nclass T(Task):\n    name = 'counting'"]
+)
+def test_one_that_cannot_be_used_harms_no_other(dataset: Path, tmp_path: Path, text: str) -> None:
+    toy = shutil.copytree(TOY, tmp_path / "toy")
+    (toy / "surgbench_toy" / "task.py").write_text(text.replace("class T(", "class CountingTask("))
+    assert "--initialiser" in surgbench("run", "--help", installed=toy)
+    assert "mini" in surgbench("list", "presets", installed=toy)
+    complaint = surgbench("validate", dataset, expect=2, installed=toy)
+    assert "task 'counting' (surgbench_toy.task" in complaint
+    assert "Traceback" not in complaint

@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from surgbench.camera import Camera
-from surgbench.config import Finite, Section
+from surgbench.config import Finite, Positive, Section
 from surgbench.dataset.manifest import Manifest, observations_path
 from surgbench.geometry import is_rigid
 
@@ -88,7 +88,7 @@ class SequenceEntry(Section):
 
     id: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
     frames: Annotated[int, Field(gt=0)]
-    dt_s: Annotated[float, Field(gt=0, allow_inf_nan=False)]
+    dt_s: Positive
     speed: Literal["nominal", "fast"] = "nominal"
     camera: str
     arms: Annotated[tuple[Arm, ...], Field(min_length=1, max_length=2)]

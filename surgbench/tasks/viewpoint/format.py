@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from surgbench.config import Finite, Section
+from surgbench.config import Finite, NotNegative, Positive, Section
 from surgbench.dataset.manifest import Manifest
 from surgbench.geometry import is_rigid
 from surgbench.viewpoint.placement import DISTANCE_M
@@ -87,16 +87,16 @@ class TrialEntry(Section):
 
     id: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
     samples: Annotated[int, Field(gt=0)]
-    dt_s: Annotated[float, Field(gt=0, allow_inf_nan=False)]
+    dt_s: Positive
     level: Level = "custom"
     truth: bool = False
     T_world_base: Matrix
     touches: TouchEntry
     zone_m: tuple[Point, Point, Point, Point, Point]
     start: tuple[Finite, Finite, Finite, Finite, Finite, Finite]
-    distance_m: Annotated[float, Field(gt=0, allow_inf_nan=False)] = DISTANCE_M
+    distance_m: Positive = DISTANCE_M
     floor_m: Finite = FLOOR_M
-    proximity_m: Annotated[float, Field(ge=0, allow_inf_nan=False)] = PROXIMITY_M
+    proximity_m: NotNegative = PROXIMITY_M
     preferred_side: Point = PREFERRED_SIDE
 
     @model_validator(mode="after")
@@ -118,9 +118,9 @@ class WireEntry(Section):
     """
 
     points_m: Annotated[tuple[Point, ...], Field(min_length=2)]
-    radius_m: Annotated[float, Field(gt=0, allow_inf_nan=False)]
-    ring_radius_m: Annotated[float, Field(gt=0, allow_inf_nan=False)]
-    tube_radius_m: Annotated[float, Field(gt=0, allow_inf_nan=False)]
+    radius_m: Positive
+    ring_radius_m: Positive
+    tube_radius_m: Positive
 
 
 class SceneTruth(Section):

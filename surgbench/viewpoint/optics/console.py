@@ -7,16 +7,15 @@ Pictures are uint8, ``(height, width, 3)`` RGB or ``(height, width)`` grey.
 
 from __future__ import annotations
 
-from typing import Annotated, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 
 from surgbench.camera import Camera
 from surgbench.camera.undistortion import Undistortion, check_size
-from surgbench.config import Section
+from surgbench.config import NotNegative, Section
 from surgbench.errors import SurgbenchError
 from surgbench.report.drawing import Picture
 
@@ -39,7 +38,7 @@ class ConsoleSettings(Section):
             (:func:`move_apart`); the code's slider goes from -100 to 100 and starts at 50.
     """
 
-    sharpening: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 1.0
+    sharpening: NotNegative = 1.0
     separation_px: int = 0
 
 

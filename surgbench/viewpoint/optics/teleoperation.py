@@ -22,7 +22,7 @@ import numpy as np
 from pydantic import Field
 from scipy.spatial.transform import Rotation
 
-from surgbench.config import Section
+from surgbench.config import NotNegative, Positive, Section
 from surgbench.errors import SurgbenchError
 from surgbench.geometry import FloatArray, is_rigid, rigid_transform
 
@@ -40,8 +40,8 @@ class TeleoperationSettings(Section):
         mean_of: The camera's pose is the mean over so many steps.
     """
 
-    scale: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 0.2
-    resample_beyond_m: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.01
+    scale: Positive = 0.2
+    resample_beyond_m: NotNegative = 0.01
     mean_of: Annotated[int, Field(ge=1)] = 25
 
 
