@@ -53,6 +53,7 @@ def test_there_are_as_many_as_asked_for(masks: TipMasks) -> None:
         masks[40]
 
 
+@pytest.mark.slow
 def test_the_set_holds_what_detectors_meet(masks: TipMasks) -> None:
     """Several cameras and corruptions, tips that show and tips that do not, jaws closed and open."""
     every = list(masks)

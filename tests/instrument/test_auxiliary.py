@@ -230,6 +230,7 @@ def test_trackers_are_shown_the_reported_pose_and_not_the_true_one(made: Path) -
         np.testing.assert_array_equal(seen[1].mask, view.mask("right", frame))
 
 
+@pytest.mark.slow
 def test_a_run_with_a_view_is_a_row_of_its_own(made: Path, tmp_path: Path) -> None:
     surgbench(*RUN, "--dataset", made, "--tracker", "cmaes", "--out", tmp_path)
     surgbench(*RUN, "--dataset", made, "--tracker", "cmaes", "--view", "static", "--out", tmp_path)
@@ -243,6 +244,7 @@ def test_a_run_with_a_view_is_a_row_of_its_own(made: Path, tmp_path: Path) -> No
     assert replay_traces(record, open_as(InstrumentDataset, made), [1])[1].states
 
 
+@pytest.mark.slow
 def test_gradients_contours_and_particles_take_two_views_too(made: Path, tmp_path: Path) -> None:
     for tracker in ("adam", "hybrid", "particle-filter"):
         surgbench(*RUN, "--dataset", made, "--tracker", tracker, "--joints", "--view", "gaze", "--out", tmp_path)

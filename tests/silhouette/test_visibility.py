@@ -64,6 +64,7 @@ driver_states = st.tuples(
 ).map(np.array)
 
 
+@pytest.mark.slow
 @settings(max_examples=60)
 @given(left=driver_states, right=driver_states)
 def test_visible_masks_part_the_mask_of_both_arms(small_camera: Camera, left: FloatArray, right: FloatArray) -> None:

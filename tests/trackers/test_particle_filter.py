@@ -103,6 +103,7 @@ def test_it_finds_the_lumped_error_of_a_still_scene(camera: Camera) -> None:
     assert np.mean([estimate.confidence for estimate in estimates]) > 0.94
 
 
+@pytest.mark.slow
 def test_it_follows_a_moving_arm_far_better_than_its_readings(camera: Camera) -> None:
     """The error drifts, too."""
     scene = robotic(camera)

@@ -116,6 +116,7 @@ def test_turbo_finds_a_minimum_at_the_seam_of_a_periodic_coordinate(turbo: Any) 
     assert (late > 0.8).any()
 
 
+@pytest.mark.slow
 @pytest.mark.extras
 def test_turbo_is_deterministic_and_leaves_global_state_alone(turbo: Any) -> None:
     import torch
@@ -179,6 +180,7 @@ LOW_BUDGET: dict[str, Any] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.extras
 def test_turbo_initialiser_finds_the_instrument(turbo: Any, small_camera: Camera) -> None:
     scene = scene_of(small_camera)
@@ -250,6 +252,7 @@ def test_a_missing_extra_is_named_in_one_line(small_camera: Camera, monkeypatch:
     assert "surgbench[turbo]" in unavailable
 
 
+@pytest.mark.slow
 def test_listing_initialisers_loads_no_pytorch() -> None:
     """It would take seconds, and is not there without the extra."""
     code = "import sys; from surgbench.registry import discover; assert discover('initialiser')['turbo'].cls; "

@@ -73,6 +73,7 @@ def test_exact_corners_give_the_exact_centre() -> None:
         np.testing.assert_allclose(found.pixel, LEFT.see(centre), atol=0.01)
 
 
+@pytest.mark.slow
 def test_the_chain_measures_the_ring_where_it_is() -> None:
     rng = np.random.default_rng(7)
     chain = CentroidMeasurement(AUTOCAM_STEREO)
