@@ -240,6 +240,7 @@ class InstrumentTracker(Plugin):
         array([-0.0004, -0.0003, -0.0002])
     """
 
+    task: ClassVar[str] = "instrument"
     one_view: ClassVar[bool] = False
 
     def reset(self, scene: Scene, state: FloatArray, rng: np.random.Generator) -> None:

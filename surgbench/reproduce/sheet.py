@@ -66,8 +66,8 @@ class Sheet:
 
     @property
     def latencies(self) -> tuple[str, ...]:
-        """Columns that are measured one run at a time."""
-        return tuple(key for key in keys(self.columns) if key.startswith("latency_"))
+        """Columns that are measured one run at a time: times, and how fast the machine was meanwhile."""
+        return tuple(key for key in keys(self.columns) if key.startswith(("latency_", "calibration_")))
 
     def sequence_row(self, block: str, dataset: Dataset[Any], record: Record) -> Row:
         """A record's line of ``sequences.csv``."""

@@ -14,6 +14,7 @@ GOLDEN: dict[str, Any] = json.loads(Path(golden.__file__).with_name("golden.json
 # Other processors round differently, and a search by samples then takes other samples; what is meant here is another
 # method, other numbers drawn or another order of the arms.
 RADIANS_OR_METRES = 1e-6
+PROMISED = 1e-9  # of datasets, on any processor
 
 
 @pytest.fixture(scope="module")
@@ -28,8 +29,14 @@ def test_settings_of_all_rows_of_all_tables(found: dict[str, Any]) -> None:
 
 
 @pytest.mark.slow
-def test_bytes_of_datasets(found: dict[str, Any]) -> None:
-    assert found["datasets"] == GOLDEN["datasets"]
+def test_datasets_are_the_same_bytes_here_and_the_same_numbers_elsewhere(found: dict[str, Any]) -> None:
+    for name, golden_dataset in GOLDEN["datasets"].items():
+        made = found["datasets"][name]
+        assert made["numbers"].keys() == golden_dataset["numbers"].keys()
+        for table, numbers in golden_dataset["numbers"].items():
+            np.testing.assert_allclose(made["numbers"][table], numbers, atol=PROMISED, rtol=0, err_msg=table)
+        if found["processor"] == GOLDEN["processor"]:
+            assert made["sha256"] == golden_dataset["sha256"], name
 
 
 @pytest.mark.slow

@@ -209,9 +209,9 @@ def test_what_does_not_fit_is_told_in_one_line(
 
 
 @pytest.mark.slow
-def test_videos_are_of_the_instrument_task(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_runs_of_this_task_have_no_video(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
     surgbench("video", runs, expect=2)
-    assert "of the viewpoint task; only instrument trackers' runs will do" in capsys.readouterr().err
+    assert "runs of the viewpoint task have no video" in capsys.readouterr().err
 
 
 TABLE: dict[str, Any] = {
