@@ -112,6 +112,7 @@ states = st.tuples(
 ).map(np.array)  # fmt: skip
 
 
+@pytest.mark.slow
 @settings(max_examples=60)
 @given(state=states)
 @example(state=np.zeros(9))  # the camera inside
@@ -135,6 +136,7 @@ def test_window_holds_all_that_is_seen(scanline: Peer, state: FloatArray) -> Non
     assert not outside.any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(PEERS))
 def test_timed_counts_are_those_of_the_masks(camera: Camera, name: str) -> None:
     """Area and overlap as timed: with the shaft crossing the camera plane and not, around the camera, behind it."""

@@ -363,6 +363,7 @@ def test_a_damaged_record_is_named(dataset: Path, tmp_path: Path, capsys: pytest
     assert "000-left-r0.json: damaged record" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_change_of_what_a_tracker_imports_is_another_tracker(
     dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -503,6 +504,7 @@ def test_a_folder_that_cannot_be_written_is_noticed_before_the_work(
     assert "cannot be written" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_damaged_dataset_ends_the_run_at_once(
     dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

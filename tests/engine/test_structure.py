@@ -64,7 +64,6 @@ def test_there_are_no_circles() -> None:
         pytest.fail(" <- ".join(error.args[1]))
 
 
-@pytest.mark.slow
 def test_the_engine_imports_no_task_and_no_plugin() -> None:
     for module in filterfalse(is_plugged_in, modules()):
         if not module.startswith(MAY_IMPORT_PLUGINS):

@@ -70,6 +70,7 @@ def test_it_is_listed_and_its_trackers_are_refused_by_others(dataset: Path, tmp_
     assert "'view' is for the instrument task; 'series' is of the counting task" in complaint
 
 
+@pytest.mark.slow
 def test_without_the_package_its_data_are_one_line(dataset: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from surgbench.dataset.open import open_dataset
     from surgbench.errors import DatasetError

@@ -134,6 +134,7 @@ def example(tips: FloatArray, shows: tuple[bool, bool] = (True, True)) -> Labell
     return LabelledMask(mask, PAPER_CAMERA, tips, np.array(shows), 0.3, "none")
 
 
+@pytest.mark.slow
 def test_the_truth_handed_in_scores_perfectly(masks: TipMasks) -> None:
     found = accuracy([outcome(one, one.tips_px[::-1]) for one in masks])
     assert found.detected_percent == 100.0

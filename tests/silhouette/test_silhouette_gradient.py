@@ -565,6 +565,7 @@ def test_crossings_of_two_arms_bound_the_mask() -> None:
 # --- room ---------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_many_spans_in_a_row_and_many_points() -> None:
     """More than the first scratch has room for, of both; each fold is like the next."""
     mesh = zigzag(60, 0.0004, 0.0011, 0.07)

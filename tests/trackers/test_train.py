@@ -223,6 +223,7 @@ def test_wrong_files_are_told_in_one_line(
     assert not (tmp_path / "model").exists()
 
 
+@pytest.mark.slow
 def test_a_model_that_is_there_is_not_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     shipped = MODELS / "resnet18" / "weights.safetensors"
     model = tmp_path / "weights.safetensors"

@@ -189,6 +189,7 @@ def test_a_controller_that_goes_wrong_costs_its_own_row(
     assert len(bad["frames"].get("index", [])) == steps
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
