@@ -66,6 +66,7 @@ def test_the_version_is_the_projects() -> None:
     assert tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]["version"] == __version__
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "code",
     [

@@ -53,6 +53,7 @@ def entry(entries: list[dict[str, Any]]) -> dict[str, Any]:
     return entries[0]
 
 
+@pytest.mark.slow
 def test_one_entry_for_each_number_of_threads(entries: list[dict[str, Any]]) -> None:
     cores = len(own_cores())
     assert [one["threads"] for one in entries] == [1, 2][:cores]
@@ -61,6 +62,7 @@ def test_one_entry_for_each_number_of_threads(entries: list[dict[str, Any]]) -> 
     assert entries[0]["peers"] == entries[-1]["peers"]
 
 
+@pytest.mark.slow
 def test_json_has_the_figures(entry: dict[str, Any]) -> None:
     assert entry["threads"] == 1
     assert entry["us_per_candidate"] > 0
@@ -75,6 +77,7 @@ def test_json_has_the_figures(entry: dict[str, Any]) -> None:
     assert (entry["width"], entry["height"], entry["candidates"]) == (700, 493, QUICK.candidates)
 
 
+@pytest.mark.slow
 def test_every_peer_is_measured_or_skipped_with_a_reason(entry: dict[str, Any]) -> None:
     assert set(entry["peers"]) | set(entry["skipped"]) - {"surgbench, 2 threads"} == set(PEERS)
     assert not set(entry["peers"]) & set(entry["skipped"])
@@ -84,6 +87,7 @@ def test_every_peer_is_measured_or_skipped_with_a_reason(entry: dict[str, Any]) 
         assert "failed" not in reason  # what is there must work
 
 
+@pytest.mark.slow
 def test_renderers_agree_on_the_pixels(entry: dict[str, Any]) -> None:
     exact = {name: px for name, px in entry["disagreement_px"].items() if PEERS[name].exact}
     assert entry["max_pixel_disagreement"] == max(exact.values())
@@ -108,6 +112,7 @@ states = st.tuples(
 ).map(np.array)  # fmt: skip
 
 
+@pytest.mark.slow
 @settings(max_examples=60)
 @given(state=states)
 @example(state=np.zeros(9))  # the camera inside
@@ -131,6 +136,7 @@ def test_window_holds_all_that_is_seen(scanline: Peer, state: FloatArray) -> Non
     assert not outside.any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(PEERS))
 def test_timed_counts_are_those_of_the_masks(camera: Camera, name: str) -> None:
     """Area and overlap as timed: with the shaft crossing the camera plane and not, around the camera, behind it."""

@@ -49,6 +49,7 @@ def test_every_tracker_of_ours_keeps_the_rules(name: str) -> None:
     assert broken == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "check", "message"),
     [
@@ -110,6 +111,7 @@ def test_who_needs_kinematics_is_checked_with_them() -> None:
     assert outcomes["kinematics"].message.startswith("frames without: ")
 
 
+@pytest.mark.slow
 def test_a_crash_or_a_hang_fails_its_own_check_only(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(conducting, "Child", PatientChild)
     names = ["plain sequence", "full masks", "empty masks", "readings"]

@@ -41,6 +41,7 @@ def server(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     return "some_server"
 
 
+@pytest.mark.slow
 def test_every_library_keeps_to_one_thread(server: str) -> None:
     with Child(120.0, server) as child:
         child.send("threads")
@@ -49,6 +50,7 @@ def test_every_library_keeps_to_one_thread(server: str) -> None:
     assert threads == 2  # and the one that sees whether the parent is there
 
 
+@pytest.mark.slow
 def test_the_reference_work_is_timed_before_and_after(server: str) -> None:
     run = Run()
     assert run.calibration_ms is None
@@ -65,6 +67,7 @@ def test_the_reference_work_is_timed_before_and_after(server: str) -> None:
     assert child.timeout_s == 120.0
 
 
+@pytest.mark.slow
 def test_what_failed_is_timed_before(server: str) -> None:
     part = Run().part()
 

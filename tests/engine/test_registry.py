@@ -126,6 +126,7 @@ def test_what_lies_beside_a_file_does_not_replace_the_library(tmp_path: Path) ->
     assert (module.json, module.numpy.linalg, module.surgbench.contract) == (json, np.linalg, contract)
 
 
+@pytest.mark.slow
 def test_compiled_code_outlives_a_move_of_its_folder(tmp_path: Path) -> None:
     """Numba keeps the name of the module with the code."""
     (tmp_path / "a").mkdir()

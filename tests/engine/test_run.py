@@ -56,6 +56,7 @@ def test_a_strangers_class_runs(dataset: Path, tmp_path: Path, capsys: pytest.Ca
     assert "still" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_a_record_holds_what_its_model_declares(dataset: Path, tmp_path: Path) -> None:
     surgbench(*RUN, "--dataset", dataset, "--tracker", f"{STRANGERS}:Still", "--out", tmp_path)
     for record in records(tmp_path):
@@ -64,6 +65,7 @@ def test_a_record_holds_what_its_model_declares(dataset: Path, tmp_path: Path) -
         assert set(record["errors"]) == set(InstrumentRecord.error_names)
 
 
+@pytest.mark.slow
 def test_a_record_that_could_not_be_read_is_not_written(
     dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -101,6 +103,7 @@ def test_observations_hold_no_truth(dataset: Path, tmp_path: Path) -> None:
     assert all(record["status"] == "ok" for record in records(tmp_path))
 
 
+@pytest.mark.slow
 def test_two_files_trackers_of_one_name_are_two_rows(
     dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -360,6 +363,7 @@ def test_a_damaged_record_is_named(dataset: Path, tmp_path: Path, capsys: pytest
     assert "000-left-r0.json: damaged record" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_change_of_what_a_tracker_imports_is_another_tracker(
     dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -381,6 +385,7 @@ def test_a_change_of_what_a_tracker_imports_is_another_tracker(
     assert second["spec"]["engine"] == first["spec"]["engine"]
 
 
+@pytest.mark.slow
 def test_again_makes_the_asked_records_anew(dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     asked = (*RUN, "--dataset", dataset, "--tracker", f"{STRANGERS}:Still", "--out", tmp_path)
     surgbench(*asked)
@@ -404,6 +409,7 @@ def test_again_makes_the_asked_records_anew(dataset: Path, tmp_path: Path, capsy
     assert capsys.readouterr().out.count(".json") == 2
 
 
+@pytest.mark.slow
 def test_two_calls_into_one_folder_share_the_work(dataset: Path, tmp_path: Path) -> None:
     out, flag = tmp_path / "runs", tmp_path / "pids"
     asked = (*RUN, "--dataset", dataset, "--tracker", f"{STRANGERS}:Signs", "--repeats", 3, "--out", out)
@@ -419,6 +425,7 @@ def test_two_calls_into_one_folder_share_the_work(dataset: Path, tmp_path: Path)
     assert not list(out.rglob("*.lock"))
 
 
+@pytest.mark.slow
 def test_what_another_call_leaves_undone_is_done_here(dataset: Path, tmp_path: Path) -> None:
     """Its lock is held until it is gone; one that a killed call left behind holds nobody up."""
     asked = (*RUN, "--dataset", dataset, "--tracker", f"{STRANGERS}:Still", "--out", tmp_path)
@@ -497,6 +504,7 @@ def test_a_folder_that_cannot_be_written_is_noticed_before_the_work(
     assert "cannot be written" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_damaged_dataset_ends_the_run_at_once(
     dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -57,6 +57,7 @@ def test_a_slice_takes_some_of_everything() -> None:
     assert spread(5, 1) == [0]
 
 
+@pytest.mark.slow
 def test_coverage_is_the_share_of_the_whole_dataset(
     dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -72,6 +73,7 @@ def test_coverage_is_the_share_of_the_whole_dataset(
     assert "first 3 frames" in row["variant"]
 
 
+@pytest.mark.slow
 def test_a_slice_of_sequences_is_a_part_of_the_whole_run(
     dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -96,6 +98,7 @@ def test_a_limit_that_cuts_nothing_changes_no_hash(dataset: Path) -> None:
     assert jobs(uncut, data)[0].hash == jobs(whole, data)[0].hash != jobs(cut, data)[0].hash
 
 
+@pytest.mark.slow
 def test_rows_of_a_suite_have_slices_of_their_own(dataset: Path, tmp_path: Path) -> None:
     suite = tmp_path / "suite.yaml"
     suite.write_text(
@@ -108,12 +111,14 @@ def test_rows_of_a_suite_have_slices_of_their_own(dataset: Path, tmp_path: Path)
     assert {row["row_id"]: row["frames"] for row in read_rows([tmp_path / "short"])} == {"slow": 1, "still": 2}
 
 
+@pytest.mark.slow
 def test_a_slice_is_replayed_to_its_end(dataset: Path, tmp_path: Path) -> None:
     surgbench(*RUN, "--dataset", dataset, "--tracker", "cmaes", "--frames", 2, "--sequences", 1, "--out", tmp_path)
     (record,) = records(tmp_path)
     assert list(replay_traces(record, open_as(InstrumentDataset, dataset), [1, 3])) == [1]
 
 
+@pytest.mark.slow
 def test_a_small_share_is_not_shown_as_nothing(dataset: Path, tmp_path: Path) -> None:
     surgbench(*RUN, "--dataset", dataset, "--tracker", STILL, "--sequences", 1, "--out", tmp_path)
     row = only(tmp_path) | {"coverage": 160 / 32000}
@@ -123,6 +128,7 @@ def test_a_small_share_is_not_shown_as_nothing(dataset: Path, tmp_path: Path) ->
 # --- the truth as a filter
 
 
+@pytest.mark.slow
 def test_the_truth_starts_every_frame(dataset: Path, tmp_path: Path) -> None:
     """The still tracker returns its start: with this filter it makes no error, wherever the first start is."""
     surgbench(*RUN, "--dataset", dataset, "--tracker", STILL, "--filter", "truth", "--sequences", 1, "--out", tmp_path)
@@ -138,6 +144,7 @@ def test_the_truth_starts_every_frame(dataset: Path, tmp_path: Path) -> None:
     assert "NOT FOR RANKING" in row["variant"]
 
 
+@pytest.mark.slow
 def test_a_floor_is_shown_as_one_and_never_as_the_best(dataset: Path, tmp_path: Path) -> None:
     command = (*RUN, "--dataset", dataset, "--tracker", STILL, "--sequences", 1, "--out", tmp_path)
     surgbench(*command, "--filter", "truth")
@@ -150,6 +157,7 @@ def test_a_floor_is_shown_as_one_and_never_as_the_best(dataset: Path, tmp_path: 
     assert "**" not in floor
 
 
+@pytest.mark.slow
 def test_a_run_with_the_truth_can_be_replayed(dataset: Path, tmp_path: Path) -> None:
     surgbench(
         *RUN, "--dataset", dataset, "--tracker", "cmaes", "--filter", "truth", "--sequences", 1, "--out", tmp_path
@@ -158,6 +166,7 @@ def test_a_run_with_the_truth_can_be_replayed(dataset: Path, tmp_path: Path) -> 
     assert list(replay_traces(record, open_as(InstrumentDataset, dataset), [2])) == [2]
 
 
+@pytest.mark.slow
 def test_only_a_filter_that_declares_it_is_given_the_truth(dataset: Path, tmp_path: Path) -> None:
     surgbench(*RUN, "--dataset", dataset, "--tracker", f"{STRANGERS}:Peeking", "--sequences", 1, "--out", tmp_path)
     assert [record["status"] for record in records(tmp_path)] == ["ok"]
@@ -201,6 +210,7 @@ def test_what_cannot_run_here_is_skipped_with_its_reason(
     assert f"- not-here: skipped: {reason}" in markdown([row])
 
 
+@pytest.mark.slow
 def test_what_was_skipped_is_tried_again(
     dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -216,6 +226,7 @@ def test_what_was_skipped_is_tried_again(
     assert [record["status"] for record in records(tmp_path)] == ["ok"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("tracker", "code"), [("Still", 0), ("ReturnsNan", 1)])
 def test_skips_alone_are_no_failure_and_hide_none(dataset: Path, tmp_path: Path, tracker: str, code: int) -> None:
     trackers = ("--tracker", f"{STRANGERS}:NotHere", "--tracker", f"{STRANGERS}:{tracker}")

@@ -19,6 +19,7 @@ def names(modules: frozenset[object]) -> set[str]:
     return {module.name for module in modules}  # type: ignore[attr-defined]
 
 
+@pytest.mark.slow
 def test_a_plugin_of_ours_is_all_that_it_imports_of_its_package() -> None:
     own = names(own_modules(find("tracker", "hybrid").modules))
     assert own >= {

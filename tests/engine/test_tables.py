@@ -31,6 +31,7 @@ REPORTED = sorted({path.parent.name for path in RESULTS.glob(f"*/{LEADERBOARD_CS
 ALL_TYPES = (*text("row_id"), *count("frames"), *number("error_m"), *flag("floor"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", REPRODUCED)
 def test_a_committed_table_is_written_as_it_was_read(name: str) -> None:
     folder = RESULTS / name

@@ -45,6 +45,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "data"
 
 
+@pytest.mark.slow
 def test_it_generates_runs_and_stands_in_the_leaderboard(dataset: Path, tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text(MINE)
     assert "sound; 'series', 2 series" in surgbench("validate", dataset)
@@ -60,6 +61,7 @@ def test_it_generates_runs_and_stands_in_the_leaderboard(dataset: Path, tmp_path
     assert "counter" in surgbench("report", tmp_path / "runs")
 
 
+@pytest.mark.slow
 def test_it_is_listed_and_its_trackers_are_refused_by_others(dataset: Path, tmp_path: Path) -> None:
     assert "counting" in surgbench("list", "tasks")
     assert "[counting] one more than the last number" in surgbench("list", "trackers")
@@ -69,6 +71,7 @@ def test_it_is_listed_and_its_trackers_are_refused_by_others(dataset: Path, tmp_
     assert "'view' is for the instrument task; 'series' is of the counting task" in complaint
 
 
+@pytest.mark.slow
 def test_without_the_package_its_data_are_one_line(dataset: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from surgbench.dataset.open import open_dataset
     from surgbench.errors import DatasetError

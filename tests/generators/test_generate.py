@@ -130,6 +130,7 @@ def test_rendered_masks_are_those_of_the_evaluator(instrument: Instrument, camer
     assert visible < len(states)
 
 
+@pytest.mark.slow
 def test_union_of_the_arms_is_what_mitsuba_renders_of_both(instrument: Instrument, camera: Camera) -> None:
     both, one = MaskRenderer([instrument, instrument], camera), MaskRenderer([instrument], camera)
     for states in make_pair(load_preset("paper"), instrument, "nominal", 100, generator(test=1))[::25]:
@@ -185,6 +186,7 @@ def mask_error(clean: Mask, corrupted: Mask) -> float:
     return 1.0 - float((clean & corrupted).sum() / (clean | corrupted).sum())
 
 
+@pytest.mark.slow
 def test_corruption_levels(clean: Mask) -> None:
     errors = {
         level: [mask_error(clean, corrupt(clean, settings, generator(test=index))) for index in range(150)]
@@ -549,6 +551,7 @@ def masks_made(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     return made
 
 
+@pytest.mark.slow
 def test_what_was_damaged_between_two_goes_is_made_again(
     made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -564,6 +567,7 @@ def test_what_was_damaged_between_two_goes_is_made_again(
     assert contents(out) == contents(made)
 
 
+@pytest.mark.slow
 def test_a_ledger_that_was_torn_costs_the_frame_that_it_lost(
     made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -580,6 +584,7 @@ def test_a_ledger_that_was_torn_costs_the_frame_that_it_lost(
     assert contents(out) == contents(made)
 
 
+@pytest.mark.slow
 def test_what_no_ledger_names_is_made_again(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """As in a folder that an earlier version has begun."""
     out, plan = tmp_path / "out", plan_dataset(FEW)
@@ -606,6 +611,7 @@ def test_what_is_damaged_after_it_was_written_is_not_blessed(made: Path, tmp_pat
     assert validate(out) == [f"{file}: altered, its SHA-256 is not the one in dataset.json" for file in sorted(files)]
 
 
+@pytest.mark.slow
 def test_a_ledger_that_is_taken_away_meanwhile_is_one_line(tmp_path: Path) -> None:
     out, plan = tmp_path / "out", plan_dataset(FEW)
 

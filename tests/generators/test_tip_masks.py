@@ -53,6 +53,7 @@ def test_there_are_as_many_as_asked_for(masks: TipMasks) -> None:
         masks[40]
 
 
+@pytest.mark.slow
 def test_the_set_holds_what_detectors_meet(masks: TipMasks) -> None:
     """Several cameras and corruptions, tips that show and tips that do not, jaws closed and open."""
     every = list(masks)
@@ -133,6 +134,7 @@ def example(tips: FloatArray, shows: tuple[bool, bool] = (True, True)) -> Labell
     return LabelledMask(mask, PAPER_CAMERA, tips, np.array(shows), 0.3, "none")
 
 
+@pytest.mark.slow
 def test_the_truth_handed_in_scores_perfectly(masks: TipMasks) -> None:
     found = accuracy([outcome(one, one.tips_px[::-1]) for one in masks])
     assert found.detected_percent == 100.0

@@ -89,6 +89,7 @@ def test_clearance_is_the_distance_between_centre_lines(instrument: Instrument) 
     assert clearance_m(instrument, state, beside) == pytest.approx(0.02, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_waypoints_keep_distance_and_elevation(instrument: Instrument, preset: Preset) -> None:
     motion = preset.motion.model_copy(
         update={"ou_sigma_angles_rad": (0.0, 0.0, 0.0), "ou_sigma_position_m": 0.0, "ou_sigma_joints_rad": 0.0}
@@ -133,6 +134,7 @@ def test_short_trajectories(instrument: Instrument, preset: Preset, frames: int)
     assert make_pair(preset, instrument, "nominal", frames, generator(test=0)).shape == (frames, 2, 9)
 
 
+@pytest.mark.slow
 def test_an_impossible_workspace_is_one_clear_line(instrument: Instrument, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("surgbench.generators.trajectories.PATHS", 2)
     preset = Preset(name="tight", pairs=1, frames=3, workspace=Workspace(clearance_m=0.5))

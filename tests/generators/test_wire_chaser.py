@@ -66,6 +66,7 @@ def contents(folder: Path) -> dict[str, bytes]:
 # Wires
 
 
+@pytest.mark.slow
 def test_wires_are_such_as_the_ring_can_pass_and_lie_in_the_zone(trials: list[Trial]) -> None:
     settings = WireSettings()
     for trial in trials:
@@ -88,6 +89,7 @@ def test_wires_are_such_as_the_ring_can_pass_and_lie_in_the_zone(trials: list[Tr
         assert gaps.min(initial=1.0) > 0.95 * settings.apart_m > 2 * (wire.ring_radius_m + wire.tube_radius_m)
 
 
+@pytest.mark.slow
 def test_the_zone_has_the_published_size_and_lies_about_level(trials: list[Trial]) -> None:
     for trial in trials:
         zone = NoGoZone(trial.zone_m)
@@ -113,6 +115,7 @@ def test_the_tool_turns_smoothly_even_where_the_wire_points_at_its_trocar() -> N
 # The hand
 
 
+@pytest.mark.slow
 def test_the_ring_never_goes_through_the_wire(trials: list[Trial]) -> None:
     """The circle in the ring's tube keeps the radii of tube and wire from the wire, and touches it where it says so."""
     angle = np.linspace(0.0, 2.0 * np.pi, 240, endpoint=False)
@@ -132,6 +135,7 @@ def test_the_ring_never_goes_through_the_wire(trials: list[Trial]) -> None:
         assert np.median(touching) < 1.5e-4 < np.median(apart)
 
 
+@pytest.mark.slow
 def test_the_ring_goes_there_and_back(trials: list[Trial]) -> None:
     for trial in trials:
         wire, way = wire_of(trial), true_poses(trial)[:, :3, 3]
@@ -144,6 +148,7 @@ def test_the_ring_goes_there_and_back(trials: list[Trial]) -> None:
         assert (np.diff(nearest[:turned]) > -0.06).all()
 
 
+@pytest.mark.slow
 def test_the_normal_is_continuous_and_seen_by_the_camera_arm(trials: list[Trial]) -> None:
     for trial in trials:
         poses = true_poses(trial)
@@ -155,6 +160,7 @@ def test_the_normal_is_continuous_and_seen_by_the_camera_arm(trials: list[Trial]
         assert poses[:, :3, 1].mean(axis=0) @ towards > 0
 
 
+@pytest.mark.slow
 def test_the_hand_is_like_those_of_autocams_users(trials: list[Trial]) -> None:
     figures = describe_motion(trials)
     assert 60 < figures["duration_s"][0] < 90  # 74.3 +- 17.4
@@ -172,6 +178,7 @@ def test_the_hand_is_like_those_of_autocams_users(trials: list[Trial]) -> None:
         assert 20 <= short <= 41
 
 
+@pytest.mark.slow
 def test_speed_follows_the_curvature_to_the_power_of_minus_a_third() -> None:
     """On a wire of two arcs, the sharper one is passed the slower by the cube root of the ratio of their radii."""
     along = np.linspace(0.0, 0.2, 401)
@@ -236,6 +243,7 @@ def test_the_steadiest_and_the_laziest_hands_make_whole_trials(hand: Hand) -> No
     assert way.max() < 0.2 * trial.dt_s
 
 
+@pytest.mark.slow
 def test_a_ring_that_is_never_measured_makes_no_trial() -> None:
     with pytest.raises(ConfigError, match="trial '000'"):
         make_trial(ANY.model_copy(update={"measurement": Measurement(dropout=1.0), "tries": 300}), "000")
@@ -244,12 +252,14 @@ def test_a_ring_that_is_never_measured_makes_no_trial() -> None:
 # The camera arm, and how often it is constrained
 
 
+@pytest.mark.slow
 def test_every_trial_is_as_constrained_as_its_level_says(trials: list[Trial]) -> None:
     for trial, level in zip(trials, ["standard"] * 2 + ["hard"] * 5, strict=True):
         low, high = SHARES[level]
         assert low <= naive_violations(trial, make_scene(trial)).any.mean() <= high
 
 
+@pytest.mark.slow
 def test_registrations_leave_what_they_left_on_the_robot(trials: list[Trial]) -> None:
     published = {"translation": (3.3, 7.6), "rigid": (1.6, 3.6)}  # mm, of two sets of touches
     for method, (low, high) in published.items():
@@ -273,6 +283,7 @@ def test_registrations_leave_what_they_left_on_the_robot(trials: list[Trial]) ->
     assert np.mean(shifts) == pytest.approx(0.3, abs=0.04)
 
 
+@pytest.mark.slow
 def test_the_arm_rests_where_it_is_allowed_and_looks_at_the_ring(trials: list[Trial]) -> None:
     for trial in trials:
         scene = make_scene(trial)
@@ -287,6 +298,7 @@ def test_the_arm_rests_where_it_is_allowed_and_looks_at_the_ring(trials: list[Tr
             np.testing.assert_allclose(pose, naive_pose(trial.T_world_feature[0]), atol=1e-9)
 
 
+@pytest.mark.slow
 def test_where_nothing_is_allowed_the_arm_cannot_rest(trials: list[Trial]) -> None:
     scene = make_scene(trials[0])
     far = trials[0].T_world_feature[0].copy()
@@ -395,6 +407,7 @@ def test_a_crash_is_resumed_with_the_trial_in_work(tmp_path: Path, monkeypatch: 
     assert contents(tmp_path / "out") == contents(tmp_path / "undisturbed")
 
 
+@pytest.mark.slow
 def test_what_is_damaged_after_it_was_written_is_not_blessed(tmp_path: Path) -> None:
     out = tmp_path / "out"
 

@@ -73,6 +73,7 @@ def path() -> FloatArray:
 # --- where the cameras are
 
 
+@pytest.mark.slow
 def test_what_is_followed_lies_between_the_jaws_and_its_normal_is_towards_the_camera_arm(path: FloatArray) -> None:
     instrument = load_instrument("large_needle_driver")
     states = make_tables(FEW, plan_dataset(FEW).sequences[0], instrument, SMALL).states[:, 1]
@@ -138,6 +139,7 @@ def test_masks_of_an_auxiliary_view_are_those_of_the_true_states_from_its_true_p
             assert np.isnan(tips[~SIDE.contains(tips)]).all()
 
 
+@pytest.mark.slow
 def test_a_part_has_the_same_files_as_the_whole(made: Path, tmp_path: Path) -> None:
     generate(plan_dataset(FEW, Part(("000",), 2)), tmp_path / "part")
     assert validate(tmp_path / "part") == []
@@ -230,6 +232,7 @@ def test_trackers_are_shown_the_reported_pose_and_not_the_true_one(made: Path) -
         np.testing.assert_array_equal(seen[1].mask, view.mask("right", frame))
 
 
+@pytest.mark.slow
 def test_a_run_with_a_view_is_a_row_of_its_own(made: Path, tmp_path: Path) -> None:
     surgbench(*RUN, "--dataset", made, "--tracker", "cmaes", "--out", tmp_path)
     surgbench(*RUN, "--dataset", made, "--tracker", "cmaes", "--view", "static", "--out", tmp_path)
@@ -243,6 +246,7 @@ def test_a_run_with_a_view_is_a_row_of_its_own(made: Path, tmp_path: Path) -> No
     assert replay_traces(record, open_as(InstrumentDataset, made), [1])[1].states
 
 
+@pytest.mark.slow
 def test_gradients_contours_and_particles_take_two_views_too(made: Path, tmp_path: Path) -> None:
     for tracker in ("adam", "hybrid", "particle-filter"):
         surgbench(*RUN, "--dataset", made, "--tracker", tracker, "--joints", "--view", "gaze", "--out", tmp_path)

@@ -60,6 +60,7 @@ def test_without_errors_the_robot_knows_its_tool() -> None:
     np.testing.assert_array_equal(free.T_cam_base, np.eye(4))
 
 
+@pytest.mark.slow
 def test_hand_eye_calibration_errs_by_what_it_is_told() -> None:
     settings = EXACT.model_copy(update={"hand_eye_rad": 0.02, "hand_eye_m": 0.003})
     errors, lumped = [], []

@@ -61,6 +61,7 @@ def test_tips_pass_gradcheck(small_camera: Camera) -> None:
     assert not behind.grad[0, :9].any()
 
 
+@pytest.mark.slow
 def test_descent_on_the_mismatch_finds_the_position_again(camera: Camera) -> None:
     evaluator = SilhouetteEvaluator([load_instrument("large_needle_driver")], camera)
     truth = resting_state()

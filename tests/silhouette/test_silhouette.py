@@ -230,6 +230,7 @@ def test_any_camera(camera: Camera, body: str, state: FloatArray) -> None:
     assert_covers_what_brute_force_does([rigid_instrument(BODIES[body])], camera, state)
 
 
+@pytest.mark.slow
 @settings(max_examples=60)
 @given(camera=cameras, bodies=st.tuples(*[st.sampled_from(sorted(BODIES))] * 2), left=poses, right=poses)
 def test_two_bodies_anywhere(camera: Camera, bodies: tuple[str, str], left: FloatArray, right: FloatArray) -> None:

@@ -20,7 +20,6 @@ from bodies import (
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt
 from scipy.spatial import KDTree
 from support import resting_state, rigid_instrument
 
@@ -357,20 +356,36 @@ def assert_on_the_edge(
     ``share`` of them have to: slits narrower than its pixels are outlines too.
     """
     mask = SilhouetteEvaluator(evaluator.instruments, finer(evaluator.camera, factor)).mask(state)
-    # Distance of each fine pixel to the nearest on the other side.
-    distance = np.where(mask, distance_transform_edt(mask), distance_transform_edt(~mask))
 
-    def look(image: NDArray[Any], places: FloatArray) -> NDArray[Any]:
-        column, row = np.rint((places + 0.5) * factor - 0.5).astype(int).T
-        return np.asarray(image[np.clip(row, 0, mask.shape[0] - 1), np.clip(column, 0, mask.shape[1] - 1)])
+    def pixels(places: FloatArray) -> NDArray[np.int_]:
+        row_column = np.rint((places[:, ::-1] + 0.5) * factor - 0.5).astype(int)
+        return np.asarray(np.clip(row_column, 0, np.subtract(mask.shape, 1)))
 
-    assert np.quantile(look(distance, points.points_px), share) <= 2.5
+    def look(places: FloatArray) -> NDArray[np.bool_]:
+        return np.asarray(mask[tuple(pixels(places).T)])
+
+    assert np.quantile(distances_to_the_other_side(mask, pixels(points.points_px)), share) <= 2.5
     assert np.linalg.norm(points.normals, axis=1) == pytest.approx(1.0)
-    inside = look(mask, points.points_px - 0.4 * points.normals)
-    outside = ~look(mask, points.points_px + 0.4 * points.normals)
+    inside = look(points.points_px - 0.4 * points.normals)
+    outside = ~look(points.points_px + 0.4 * points.normals)
     # Beside sharp corners and where parts meet, a way of 0.4 pixels leads elsewhere.
     assert (inside & outside).mean() > 0.95
     assert (~inside & ~outside).mean() <= 1 - share
+
+
+def distances_to_the_other_side(mask: NDArray[np.bool_], pixels: NDArray[np.int_]) -> FloatArray:
+    """How far each of some pixels is from the nearest that is covered where it is not, or the reverse."""
+    boundary = np.zeros_like(mask)  # of both sides: pixels that have one of the other beside, above or below them
+    for axis in (0, 1):
+        here, there = ((slice(None),) * axis + (part,) for part in (slice(None, -1), slice(1, None)))
+        changes = np.diff(mask, axis=axis)
+        boundary[here] |= changes
+        boundary[there] |= changes
+    covered = mask[tuple(pixels.T)]
+    distances = np.empty(len(pixels))
+    for side in (True, False):
+        distances[covered == side] = KDTree(np.argwhere(boundary & (mask != side))).query(pixels[covered == side])[0]
+    return distances
 
 
 def outline(mask: NDArray[np.bool_]) -> FloatArray:
@@ -550,6 +565,7 @@ def test_crossings_of_two_arms_bound_the_mask() -> None:
 # --- room ---------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_many_spans_in_a_row_and_many_points() -> None:
     """More than the first scratch has room for, of both; each fold is like the next."""
     mesh = zigzag(60, 0.0004, 0.0011, 0.07)

@@ -64,6 +64,7 @@ driver_states = st.tuples(
 ).map(np.array)
 
 
+@pytest.mark.slow
 @settings(max_examples=60)
 @given(left=driver_states, right=driver_states)
 def test_visible_masks_part_the_mask_of_both_arms(small_camera: Camera, left: FloatArray, right: FloatArray) -> None:
@@ -79,6 +80,7 @@ def test_visible_masks_part_the_mask_of_both_arms(small_camera: Camera, left: Fl
     assert np.array_equal(np.where(visible, depths, np.inf).min(axis=0), depths.min(axis=0))
 
 
+@pytest.mark.slow
 @settings(max_examples=60)
 @given(state=driver_states, row=st.integers(0, 61), column=st.integers(0, 87))
 def test_depth_is_that_of_a_ray(small_camera: Camera, state: FloatArray, row: int, column: int) -> None:

@@ -65,6 +65,7 @@ def test_corners_do_not_look_at_the_tips_of_the_dataset(small_camera: Camera) ->
     np.testing.assert_array_equal(detect(view, small_camera)[0], detect(marked, small_camera)[0])
 
 
+@pytest.mark.slow
 def test_each_arm_has_the_corners_of_its_part(small_camera: Camera) -> None:
     left, right = wedge((120, 60), 40), wedge((200, 170), 290)
     mask = left | right

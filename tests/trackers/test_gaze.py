@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
@@ -51,6 +52,7 @@ def test_derivatives_of_the_residuals(joints: FloatArray, feature: FloatArray) -
     np.testing.assert_allclose(J.T @ r, (ahead + behind) / 2, atol=tolerance)
 
 
+@pytest.mark.slow
 def test_the_fit_reaches_the_naive_pose_where_it_can_be_had() -> None:
     trial = circling(1)
     base = inverse_transform(trial.T_world_base)
@@ -64,6 +66,7 @@ def test_the_fit_reaches_the_naive_pose_where_it_can_be_had() -> None:
     np.testing.assert_allclose(ARM.forward(joints), ARM.forward(trial.start), atol=1e-6)
 
 
+@pytest.mark.slow
 def test_joints_whose_bounds_are_one_stay() -> None:
     trial = circling(1)
     feature = (inverse_transform(trial.T_world_base) @ trial.T_world_feature[0])[:3, 3]
@@ -152,6 +155,7 @@ def test_the_same_trial_gives_the_same_course() -> None:
     np.testing.assert_array_equal(run(trial).setpoints, run(trial).setpoints)
 
 
+@pytest.mark.slow
 def test_no_world_brings_it_beyond_the_limits() -> None:
     """10,000 worlds of a few steps: features that jump, are far away, or in the camera; starts inside the zone."""
     rng = np.random.default_rng(0)

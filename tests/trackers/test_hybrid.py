@@ -84,6 +84,7 @@ def test_a_missing_jaw_is_an_unexplained_edge_and_an_unexplained_contour(camera:
 # --- fit
 
 
+@pytest.mark.slow
 @settings(max_examples=15)
 @given(st.integers(0, 10_000))
 def test_the_fit_returns_to_the_truth(seed: int) -> None:
@@ -276,6 +277,7 @@ def follow(
     return np.array(estimates[1:]), tracker
 
 
+@pytest.mark.slow
 def test_it_follows_to_tenths_of_a_millimetre(camera: Camera) -> None:
     scene, states = scene_of(camera), motion(25)
     estimates, _ = follow(scene, states, states[0])
@@ -284,6 +286,7 @@ def test_it_follows_to_tenths_of_a_millimetre(camera: Camera) -> None:
     assert np.mean([e["tip_error_m"] for e in errors]) < 2e-4
 
 
+@pytest.mark.slow
 def test_it_finds_back_from_a_jaw_that_slipped(camera: Camera) -> None:
     """It begins with both jaws where only one is, which no small step mends."""
     scene, states = scene_of(camera), motion(15)
@@ -302,6 +305,7 @@ def test_it_waits_while_nothing_is_seen(camera: Camera) -> None:
     assert errors_of(scene, estimates[-1], states[-1])["tip_error_m"] < 1e-3
 
 
+@pytest.mark.slow
 def test_two_arms_in_one_mask(camera: Camera) -> None:
     scene = scene_of(camera, arms=2)
     left = motion(8)
@@ -314,6 +318,7 @@ def test_two_arms_in_one_mask(camera: Camera) -> None:
         assert errors_of(one, estimates[-1, arm], states[-1, arm])["tip_error_m"] < 1e-3
 
 
+@pytest.mark.slow
 def test_same_seed_same_estimates_also_after_a_journey(camera: Camera) -> None:
     """A tracker that is pickled in the middle goes on as the one that stayed."""
     scene, states = scene_of(camera), motion(6)

@@ -177,6 +177,7 @@ def test_normalisations_fold_into_convolutions() -> None:
     torch.testing.assert_close(found, expected, rtol=1e-4, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_a_network_comes_back_from_its_file_in_half_precision(tmp_path: Path) -> None:
     network = HeatmapNetwork(SMALL).eval()
     save_network(tmp_path / "model.safetensors", network, SMALL)
@@ -413,6 +414,7 @@ def test_sources_are_measured_side_by_side(tmp_path: Path, capsys: pytest.Captur
     assert len((tmp_path / "accuracy.csv").read_text().splitlines()) == len(rows) + 1
 
 
+@pytest.mark.slow
 def test_the_worst_are_first_and_shown() -> None:
     masks = TipMasks(TipMaskSettings(), 12, seed=2, part="test")
 

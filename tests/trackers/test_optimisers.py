@@ -47,6 +47,7 @@ def package_search(start: FloatArray, sigma: float, population: int, rng: np.ran
     return search
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("loss", [ellipsoid, slope])
 @pytest.mark.parametrize("active", [True, False])
 @pytest.mark.parametrize(("size", "population"), [(2, 6), (5, 7), (9, 10), (9, 70), (18, 70)])

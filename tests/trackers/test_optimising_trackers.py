@@ -52,6 +52,7 @@ def run(tracker: InstrumentTracker, scene: Scene, seen: list[Observation], seed:
     return np.array([tracker.step(frame).state for frame in seen])  # type: ignore[union-attr]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("arms", [1, 2])
 @pytest.mark.parametrize("make", TRACKERS)
 def test_a_tracker_lowers_the_loss(make: Callable[[], Any], arms: int, camera: Camera) -> None:

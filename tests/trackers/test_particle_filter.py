@@ -103,6 +103,7 @@ def test_it_finds_the_lumped_error_of_a_still_scene(camera: Camera) -> None:
     assert np.mean([estimate.confidence for estimate in estimates]) > 0.94
 
 
+@pytest.mark.slow
 def test_it_follows_a_moving_arm_far_better_than_its_readings(camera: Camera) -> None:
     """The error drifts, too."""
     scene = robotic(camera)
@@ -125,6 +126,7 @@ def test_it_follows_a_moving_arm_far_better_than_its_readings(camera: Camera) ->
     assert 1 <= resampled < 40
 
 
+@pytest.mark.slow
 def test_it_finds_the_errors_of_the_wrists_readings(camera: Camera) -> None:
     scene, truth = robotic(camera), resting_state()
     bias = np.array([0.05, -0.04, 0.04])
@@ -163,6 +165,7 @@ def test_a_second_camera_alone_is_enough(camera: Camera) -> None:
     assert late < 0.3 * errors(scene, start, truth)["keypoint_error_px"]
 
 
+@pytest.mark.slow
 def test_two_arms_in_one_mask_have_clouds_of_their_own(camera: Camera) -> None:
     scene = robotic(camera, arms=2)
     left, right = resting_state(), resting_state()

@@ -170,6 +170,7 @@ def follow(camera: Camera, joints: bool, seed: int = 0) -> tuple[FloatArray, Flo
     return truth, np.array(estimates[1:])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("joints", [False, True])
 def test_cmaes_follows_a_moving_instrument(camera: Camera, joints: bool) -> None:
     truth, estimates = follow(camera, joints)
@@ -186,6 +187,7 @@ def test_cmaes_follows_a_moving_instrument(camera: Camera, joints: bool) -> None
         assert errors["q1_error_rad"].mean() < 0.03
 
 
+@pytest.mark.slow
 def test_cmaes_gives_the_same_result_for_the_same_seed(small_camera: Camera) -> None:
     one, again, other = (follow(small_camera, False, seed)[1] for seed in (0, 0, 1))
     np.testing.assert_array_equal(one, again)

@@ -177,6 +177,7 @@ def test_looks_keep_the_tips_where_the_picture_shows_them(patches: Patches) -> N
         assert abs(rows.mean() - tips[0, 1]) < 1.0
 
 
+@pytest.mark.slow
 def test_patches_do_not_depend_on_the_number_of_jobs() -> None:
     masks = TipMasks(TipMaskSettings(), 120, 1, "training")
     one, two = (cut_patches(masks, 32, jobs, quiet) for jobs in (1, 2))
@@ -184,6 +185,7 @@ def test_patches_do_not_depend_on_the_number_of_jobs() -> None:
     assert np.array_equal(one.tips, two.tips, equal_nan=True)
 
 
+@pytest.mark.slow
 def test_the_command_trains_and_its_model_is_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "tiny.yaml").write_text(TINY)
     out = tmp_path / "model"
@@ -221,6 +223,7 @@ def test_wrong_files_are_told_in_one_line(
     assert not (tmp_path / "model").exists()
 
 
+@pytest.mark.slow
 def test_a_model_that_is_there_is_not_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     shipped = MODELS / "resnet18" / "weights.safetensors"
     model = tmp_path / "weights.safetensors"
@@ -244,6 +247,7 @@ def test_a_model_is_tested_on_its_own_instrument_and_cameras() -> None:
     assert test.pitch_rad == HELD_OUT.pitch_rad
 
 
+@pytest.mark.slow
 def test_a_training_that_diverges_is_told(tmp_path: Path, patches: Patches) -> None:
     with pytest.raises(SurgbenchError, match="diverged in epoch 1"):
         trained(tmp_path, patches, SHORT.model_copy(update={"learning_rate": 1e30}))

@@ -105,6 +105,7 @@ def search(turbo: Any, function: Any, batches: int, seed: int = 0) -> tuple[Floa
     return np.concatenate(points), np.concatenate(found)
 
 
+@pytest.mark.slow
 @pytest.mark.extras
 def test_turbo_finds_a_minimum_at_the_seam_of_a_periodic_coordinate(turbo: Any) -> None:
     points, found = search(turbo, lambda x: np.log(bowl(x) + 1e-6), 8)
@@ -116,6 +117,7 @@ def test_turbo_finds_a_minimum_at_the_seam_of_a_periodic_coordinate(turbo: Any) 
     assert (late > 0.8).any()
 
 
+@pytest.mark.slow
 @pytest.mark.extras
 def test_turbo_is_deterministic_and_leaves_global_state_alone(turbo: Any) -> None:
     import torch
@@ -144,6 +146,7 @@ def test_a_collapsed_region_is_left(turbo: Any) -> None:
     np.testing.assert_array_equal(tenths, np.arange(10.0)[:, None].repeat(3, axis=1))
 
 
+@pytest.mark.slow
 @pytest.mark.extras
 def test_values_that_are_not_finite_are_the_worst(turbo: Any) -> None:
     def broken(points: FloatArray) -> FloatArray:
@@ -154,6 +157,7 @@ def test_values_that_are_not_finite_are_the_worst(turbo: Any) -> None:
     assert (points[30:, 0] < 0.7).mean() > 0.7
 
 
+@pytest.mark.slow
 @pytest.mark.extras
 def test_the_gaussian_process_knows_circles_and_which_coordinate_matters(turbo: Any) -> None:
     rng = np.random.default_rng(0)
@@ -179,6 +183,7 @@ LOW_BUDGET: dict[str, Any] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.extras
 def test_turbo_initialiser_finds_the_instrument(turbo: Any, small_camera: Camera) -> None:
     scene = scene_of(small_camera)
@@ -198,6 +203,7 @@ def test_turbo_initialiser_finds_the_instrument(turbo: Any, small_camera: Camera
     assert once[-1] == 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.extras
 def test_turbo_initialiser_uses_tips_and_readings(turbo: Any, small_camera: Camera) -> None:
     scene = scene_of(small_camera)
@@ -212,6 +218,7 @@ def test_turbo_initialiser_uses_tips_and_readings(turbo: Any, small_camera: Came
     assert np.linalg.norm(small_camera.project(scene.instruments[0].tips_cam(state)) - tips, axis=1).max() < 12
 
 
+@pytest.mark.slow
 @pytest.mark.extras
 def test_turbo_initialiser_tells_two_arms_apart(turbo: Any, small_camera: Camera) -> None:
     scene = scene_of(small_camera, arms=2)
@@ -250,6 +257,7 @@ def test_a_missing_extra_is_named_in_one_line(small_camera: Camera, monkeypatch:
     assert "surgbench[turbo]" in unavailable
 
 
+@pytest.mark.slow
 def test_listing_initialisers_loads_no_pytorch() -> None:
     """It would take seconds, and is not there without the extra."""
     code = "import sys; from surgbench.registry import discover; assert discover('initialiser')['turbo'].cls; "

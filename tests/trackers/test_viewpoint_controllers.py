@@ -154,6 +154,7 @@ def problem(joints: FloatArray, offset: FloatArray, shift: FloatArray) -> FloatA
     return np.array([pose[:3, 3] + 0.11 * pose[:3, 2] + 0.05 * offset, pose[:3, 3] + 0.03 * shift, up])
 
 
+@pytest.mark.slow
 @given(joints_within, vectors(1.0), vectors(1.0), st.booleans())
 def test_gradient_of_the_objective(joints: FloatArray, offset: FloatArray, shift: FloatArray, of_tool: bool) -> None:
     solver = ConstrainedIK(ARM, BOUNDS, 0.11, SolverConfig(), WeightsConfig(), of_tool=of_tool)
@@ -188,6 +189,7 @@ def test_the_objective_of_an_ideal_view_is_nothing() -> None:
     assert of_tool.objective(points, joints, gradient) < 1e-20
 
 
+@pytest.mark.slow
 def test_the_optimiser_is_as_good_as_scipys() -> None:
     """Where both run until nothing changes, from the same start."""
     rng = np.random.default_rng(0)
@@ -296,6 +298,7 @@ def test_naive_joints_are_the_closed_form_clipped(seed: int) -> None:
     assert ("joint_limit" in command.active) != bool(ARM.within_limits(exact))
 
 
+@pytest.mark.slow
 @given(joints_within.filter(lambda joints: joints[2] > 0.12), st.integers(0, 2**32 - 1))
 def test_midpoint_points_the_shaft_at_the_feature(joints: FloatArray, seed: int) -> None:
     rng = np.random.default_rng(seed)

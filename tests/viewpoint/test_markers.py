@@ -73,6 +73,7 @@ def test_exact_corners_give_the_exact_centre() -> None:
         np.testing.assert_allclose(found.pixel, LEFT.see(centre), atol=0.01)
 
 
+@pytest.mark.slow
 def test_the_chain_measures_the_ring_where_it_is() -> None:
     rng = np.random.default_rng(7)
     chain = CentroidMeasurement(AUTOCAM_STEREO)
@@ -93,6 +94,7 @@ def test_the_chain_measures_the_ring_where_it_is() -> None:
     assert ids == {0, 1}
 
 
+@pytest.mark.slow
 def test_the_pixels_are_those_of_what_was_found() -> None:
     rng = np.random.default_rng(1)
     T_world_feature, T_world_camera = world(rng, 0.2)
@@ -131,6 +133,7 @@ def test_only_the_objects_tags_count() -> None:
     assert found.index == 2
 
 
+@pytest.mark.slow
 def test_pictures_repeat_and_show_nothing_of_what_is_elsewhere() -> None:
     photographer = Photographer(LEFT, grasp_object(), noise=0.0)
     ahead, behind, beside = (

@@ -75,6 +75,7 @@ def test_a_move_brings_all_joints_at_the_same_time_and_to_rest() -> None:
 numbers = st.lists(st.floats(-6, 6), min_size=6, max_size=6).map(np.array)
 
 
+@pytest.mark.slow
 @given(st.lists(st.tuples(st.sampled_from(["move", "servo", "hold"]), numbers, numbers), min_size=1, max_size=40))
 def test_no_command_brings_a_joint_beyond_its_limits(commands: list[tuple[str, FloatArray, FloatArray]]) -> None:
     """Of place, velocity and acceleration."""

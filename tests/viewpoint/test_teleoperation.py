@@ -40,6 +40,7 @@ def started(master: FloatArray, camera: FloatArray, settings: TeleoperationSetti
     return operation
 
 
+@pytest.mark.slow
 @given(poses, poses)
 def test_right_is_right_in_the_picture(master: FloatArray, camera: FloatArray) -> None:
     """So are down and away; 10 mm of the hand are 2 mm of the tool."""
@@ -69,6 +70,7 @@ def test_scale(scale: float) -> None:
     np.testing.assert_allclose(tool, moved(SEEN, 0.015 * scale * RIGHT), atol=1e-12)
 
 
+@pytest.mark.slow
 @given(poses, poses, poses, poses)
 def test_the_tool_rests_while_the_clutch_is_pressed_and_does_not_jump_on_release(
     master: FloatArray, elsewhere: FloatArray, camera: FloatArray, farther: FloatArray
@@ -100,6 +102,7 @@ def test_a_master_that_is_held_keeps_its_alignment_through_the_clutch() -> None:
     assert is_rigid(operation.tool, 1e-12)
 
 
+@pytest.mark.slow
 @given(poses, poses, vectors(0.5))
 def test_a_view_taken_anew_turns_the_tool_with_it_and_leaves_it_in_its_place(
     master: FloatArray, camera: FloatArray, turn: FloatArray

@@ -44,6 +44,7 @@ def runs(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
+@pytest.mark.slow
 def test_a_record_holds_the_course_and_its_errors(dataset: Path, runs: Path) -> None:
     found = records(runs)
     assert len(found) == 4
@@ -65,6 +66,7 @@ def test_a_record_holds_the_course_and_its_errors(dataset: Path, runs: Path) -> 
         np.testing.assert_array_equal(np.array(record["frames"]["rules"]) != 0, expected)
 
 
+@pytest.mark.slow
 def test_rows_are_of_subsets_that_make_up_the_whole(runs: Path) -> None:
     rows = [row for row in read_rows([runs]) if row["row_id"] == "gaze" and row["camera"] is None]
     by_subset = {row["subset"]: row for row in rows if row["subset"] not in ("solver", "optimised")}
@@ -120,6 +122,7 @@ def test_pictures_agree_with_geometry(dataset: Path, tmp_path: Path) -> None:
     assert rows["projected", "right"]["u_error_px"] > rows["projected", "left"]["u_error_px"] + 50.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", ["table", "csv", "markdown", "json"])
 def test_reports(runs: Path, form: str, capsys: pytest.CaptureFixture[str]) -> None:
     surgbench("report", runs, "--format", form)
@@ -186,6 +189,7 @@ def test_a_controller_that_goes_wrong_costs_its_own_row(
     assert len(bad["frames"].get("index", [])) == steps
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -205,6 +209,7 @@ def test_what_does_not_fit_is_told_in_one_line(
     assert len(error.strip().splitlines()) == 1
 
 
+@pytest.mark.slow
 def test_runs_of_this_task_have_no_video(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
     surgbench("video", runs, expect=2)
     assert "runs of the viewpoint task have no video" in capsys.readouterr().err
