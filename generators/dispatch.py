@@ -6,10 +6,13 @@ generator of its ``task``, the default task unless told.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from surgbench.config import locate, read_yaml
+from surgbench.dataset.manifest import Manifest
 from surgbench.errors import ConfigError, SurgbenchError
 from surgbench.generation import GenerationPlan, GenerationRequest
 from surgbench.registry import Found, create, default_task_name, discover, find
@@ -30,7 +33,8 @@ def plan_preset(name_or_path: str | Path, request: GenerationRequest = Generatio
     path = locate("presets", "preset", name_or_path)
     content = read_yaml(path, "preset")
     try:
-        generator = create(_generator(content, path.parent), {})
+        found = _generator(content, path.parent)
+        generator = create(found, {})
     except SurgbenchError as error:
         raise type(error)(f"{path}: {error}") from None
     try:
@@ -41,7 +45,57 @@ def plan_preset(name_or_path: str | Path, request: GenerationRequest = Generatio
         raise ConfigError(f"{path}: generator '{generator.name}' raised {type(error).__name__}: {error}") from error
     if not hasattr(plan, "write"):
         raise ConfigError(f"{path}: generator '{generator.name}' gave {type(plan).__name__}, which is no plan")
-    return plan
+    # A dataset of a task's usual generator says no more than its preset does.
+    usual = [one.source for one in discover("generator").values() if one.cls is not None and one.task == found.task]
+    return plan if usual == [found.source] else NamedPlan(plan, f"{found.source}@{found.hash}")
+
+
+@dataclass(frozen=True)
+class NamedPlan:
+    """A plan of a generator that its preset names, which then is a part of the configuration.
+
+    Attributes:
+        plan: The generator's.
+        generator: Where it is from, and the hash of its source: another text makes another dataset.
+    """
+
+    plan: GenerationPlan
+    generator: str
+
+    @property
+    def name(self) -> str:
+        """The dataset's."""
+        return self.plan.name
+
+    @property
+    def counts(self) -> str:
+        """How much there will be."""
+        return self.plan.counts
+
+    @property
+    def frames(self) -> int:
+        """Frames or samples in all."""
+        return self.plan.frames
+
+    @property
+    def paths(self) -> list[str]:
+        """Every file but the manifest."""
+        return self.plan.paths
+
+    @property
+    def disk_bytes(self) -> int:
+        """Disk that the whole dataset takes."""
+        return self.plan.disk_bytes
+
+    @property
+    def marker(self) -> dict[str, Any]:
+        """Effective configuration, with the generator."""
+        return {**self.plan.marker, "generator": self.generator}
+
+    def write(self, out: Path, jobs: int, progress: Callable[[float], None]) -> Manifest:
+        """Write everything but the manifest."""
+        manifest = self.plan.write(out, jobs, progress)
+        return manifest.model_copy(update={"configuration": {**manifest.configuration, "generator": self.generator}})
 
 
 def _generator(preset: dict[str, Any], folder: Path) -> Found:

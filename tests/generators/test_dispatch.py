@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from surgbench.dataset.open import open_dataset
 from surgbench.dataset.validate import validate
 from surgbench.errors import ConfigError, NotFoundError, SurgbenchError
 from surgbench.generation import GenerationRequest
@@ -70,6 +71,25 @@ def test_a_stranger_makes_a_dataset_from_a_file_beside_the_preset(
     assert plan.counts == "1 trial, 120 samples"
     assert generate(plan, tmp_path / "out")
     assert validate(tmp_path / "out") == []
+    # The dataset says by whom it is: another text of the generator's makes another one.
+    assert open_dataset(tmp_path / "out").manifest.configuration["generator"].startswith("mine.py:Mine@")
+    assert not generate(plan_preset(path, GenerationRequest(sequences=1)), tmp_path / "out")
+    (tmp_path / "mine.py").write_text(STRANGER + "# edited\n")
+    with pytest.raises(SurgbenchError, match="holds another dataset"):
+        generate(plan_preset(path, GenerationRequest(sequences=1)), tmp_path / "out")
+
+
+@pytest.mark.parametrize(
+    ("plan", "message"), [("1 / 0", "raised ZeroDivisionError: division by zero"), ("None", "gave NoneType")]
+)
+def test_a_generator_answers_for_what_it_gives(
+    preset: Callable[[str], Path], tmp_path: Path, plan: str, message: str
+) -> None:
+    path = preset("generator: wrong.py:Wrong")
+    (tmp_path / "wrong.py").write_text(
+        f"class Wrong:\n    name, task = 'wrong', 'viewpoint'\n    def plan(self, preset, request): return {plan}\n"
+    )
+    assert message in refused(path)
 
 
 @pytest.mark.parametrize(
