@@ -17,10 +17,12 @@ WORKER = "surgbench.tasks.instrument.conformance.worker"
 def no_global_randomness(subject: Subject, alive: Alive) -> str:
     """Neither reset nor step reads or seeds a generator that is everybody's."""
     play = play_of(subject)
-    run_through(subject.make(), play, alive)  # imports what it needs, PyTorch perhaps
     generators = global_generators()
     kept = {name: get() for name, (get, _, _) in generators.items()}
     try:
+        run_through(subject.make(), play, alive)  # imports what it needs, PyTorch perhaps
+        generators = global_generators()
+        kept = {name: get() for name, (get, _, _) in generators.items()} | kept
         for _, draw, _ in generators.values():
             draw()  # away from where a seed that is set in every reset would put it back
         before = {name: pickle.dumps(get()) for name, (get, _, _) in generators.items()}
