@@ -42,6 +42,7 @@ def without_times(value: Any) -> Any:
     return value
 
 
+@pytest.mark.slow
 def test_a_strangers_class_runs(dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     surgbench(*RUN, "--dataset", dataset, "--tracker", f"{STRANGERS}:Still", "--out", tmp_path)
     found = records(tmp_path)

@@ -80,6 +80,7 @@ def test_without_the_package_its_data_are_one_line(dataset: Path, monkeypatch: p
         open_dataset(dataset)
 
 
+@pytest.mark.slow
 def test_records_depend_on_all_of_its_package(dataset: Path, tmp_path: Path) -> None:
     """Its worker makes the estimates, though nothing of the engine imports it."""
     toy = shutil.copytree(TOY, tmp_path / "toy")
