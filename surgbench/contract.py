@@ -360,7 +360,7 @@ class Initialiser(Protocol):
 
 @runtime_checkable
 class StateFilter(Protocol):
-    """Predicts where the next frame's search begins and smooths nothing that is reported.
+    """Says where the next frame's search begins; what it makes of an estimate is reported where a row asks for it.
 
     Example:
         The change from the last frame to this one, once more:

@@ -58,6 +58,7 @@ def child_setup(job: Job, scene: Scene) -> Setup:
         replace(scene, device=settings.conditions.device),
         own(settings.tracker),
         own(settings.initialiser),
+        settings.scored,
     )
 
 

@@ -30,6 +30,7 @@ class InstrumentRecordSpec(RecordSpec):
     readings: str
     views: int = 1
     view: str | None = None
+    scored: str = "raw"
 
 
 class InstrumentFrames(Frames):

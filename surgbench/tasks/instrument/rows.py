@@ -12,7 +12,7 @@ from surgbench.tasks.instrument.records import PER_ARM, InstrumentRecord
 SETTING_COLUMNS = (
     *text("arms"),
     *count("iterations"),
-    *text("readings", "initialiser", "keypoints", "filter"),
+    *text("readings", "initialiser", "keypoints", "filter", "scored"),
     *flag("floor"),
     *count("views"),
     *text("level"),
@@ -47,6 +47,7 @@ def instrument_row(head: Row, records: list[InstrumentRecord]) -> Row:
         "initialiser": spec.initialiser.name,
         "keypoints": spec.keypoints.name,
         "filter": spec.filter.name,
+        "scored": spec.scored,
         "floor": records[0].floor,
         "views": spec.views,
         "level": spec.level,

@@ -22,6 +22,7 @@ from surgbench.randomness import generator
 from surgbench.registry import create, find
 from surgbench.state import JOINTS, STATE_SIZE, clip_joints, split_arms
 from surgbench.suite.settings import Plug
+from surgbench.tasks.instrument.asked import Scored
 
 
 @dataclass(frozen=True)
@@ -33,6 +34,7 @@ class Setup:
         scene: The sequence's constants.
         tracker_axes: Named axes that seed the tracker's generator.
         initialiser_axes: Those of the initialiser; not the tracker, so that all trackers start alike.
+        scored: Which state is answered: the tracker's own, or what the filter makes of it.
     """
 
     tracker: Plug
@@ -42,6 +44,7 @@ class Setup:
     scene: Scene
     tracker_axes: dict[str, str | int]
     initialiser_axes: dict[str, str | int]
+    scored: Scored = "raw"
 
 
 @dataclass(frozen=True)
@@ -164,8 +167,10 @@ class Loop:
         state = check_state(estimate.state, self._size, f"tracker '{self._setup.tracker.name}'")
         confidence = check_confidence(estimate.confidence, f"tracker '{self._setup.tracker.name}'")
         before = time.perf_counter()
-        self._filter.update(state.copy())
+        filtered = self._filter.update(state.copy())
         filter_s += time.perf_counter() - before
+        if self._setup.scored == "filtered":
+            state = check_state(filtered, self._size, f"filter '{self._setup.filter.name}'")
         return Answer(
             start=start,
             state=state,
