@@ -97,7 +97,8 @@ class Released:
     def __init__(self, mean: FloatArray, sigma: float, population: int) -> None:
         d = self.d = len(mean)
         self.mean, self.sigma = mean.copy(), sigma
-        self.C, self.A = np.eye(d), np.eye(d)
+        self.C: FloatArray = np.eye(d)
+        self.A: FloatArray = np.eye(d)
         self.p_sigma, self.p_c, self.generation = np.zeros(d), np.zeros(d), 0
         raw = [math.log((population + 1) / 2) - math.log(i + 1) for i in range(population)]
         mu = population // 2
@@ -131,14 +132,14 @@ class Released:
         pull = math.sqrt(self.c_c * (2 - self.c_c) * self.mu_eff)
         self.p_c = (1 - self.c_c) * self.p_c + (pull * shaped if rising else 0.0)
         c_1a = self.c_1 * (1 - (0 if rising else 1) * self.c_c * (2 - self.c_c))
-        C = (1 - c_1a - self.c_mu * sum(self.weights)) * self.C + self.c_1 * np.outer(self.p_c, self.p_c)
+        C: FloatArray = (1 - c_1a - self.c_mu * sum(self.weights)) * self.C + self.c_1 * np.outer(self.p_c, self.p_c)
         for i, weight in enumerate(self.weights):
             counted = weight if weight >= 0 else weight * d / (z[i] @ z[i])
             C = C + self.c_mu * counted * np.outer(y[i], y[i])
         self.C = C
         expected = math.sqrt(d) * (1 - 1 / (4 * d) + 1 / (21 * d**2))
         self.sigma *= math.exp(self.c_sigma / self.damp * (np.linalg.norm(self.p_sigma) / expected - 1))
-        self.A = np.linalg.cholesky(self.C)
+        self.A = np.asarray(np.linalg.cholesky(self.C), dtype=np.float64)
 
 
 @pytest.mark.parametrize("loss", [ellipsoid, slope])

@@ -126,7 +126,6 @@ def test_published_kalman_is_that_of_the_released_code(small_camera: Camera) -> 
     assert found == pytest.approx(2 * [start[0] + 0.01 * variance / (variance + 2e-3)], abs=1e-12)
 
 
-
 def test_kalman_unwraps_angles(small_camera: Camera) -> None:
     """From 3.1 to -3.1 rad is a step of 0.08 rad, not of 6.2."""
     state_filter = KalmanFilter()

@@ -9,7 +9,7 @@ from surgbench.report.column import NO_VALUE
 from surgbench.report.figures import FIGURE_PNG
 from surgbench.report.markdown import QUICK_WARNING, escape, failure_lines, markdown_table
 from surgbench.report.row import Row
-from surgbench.reproduce.compare import Comparison, compare
+from surgbench.reproduce.compare import Comparison, Pair, compare
 from surgbench.reproduce.published import Published
 from surgbench.reproduce.results import Results
 from surgbench.reproduce.table import Block, Definition, Table
@@ -17,9 +17,10 @@ from surgbench.tasks.instrument.columns import PAGE_ERRORS, PAGE_POSE, PAGE_TIME
 
 READING = (
     "Errors are means over sequences (each arm is one) ± their standard error, after the paper's rule for the 180° "
-    "twin. *mask error* is against the mask that the tracker saw, *true mask error* against the uncorrupted one; "
-    "*keypoints* is the sum over both tips. *time* is the median of a frame's optimisation. Every column is explained "
-    "in `docs/metrics.md`; `leaderboard.csv` has more of them, with all digits, and `sequences.csv` every sequence's "
+    "twin; where `scored` in `leaderboard.csv` says so, of the state that the filter makes of the tracker's. *mask "
+    "error* is against the mask that the tracker saw, *true mask error* against the uncorrupted one; *keypoints* is "
+    "the sum over both tips. *time* is the median of a frame's optimisation. Every column is explained in "
+    "`docs/metrics.md`; `leaderboard.csv` has more of them, with all digits, and `sequences.csv` every sequence's "
     "means."
 )
 
@@ -65,23 +66,39 @@ GAIN_NOTE = (
 
 
 def _summary(table: Table, compared: dict[str, list[Comparison]], source: str) -> str:
-    """How many of the published figures are reached, block by block; what was not run is no figure."""
+    """How many of the published accuracies are reached, block by block; what was not run is no figure."""
     counts = []
     for block in table.blocks:
-        pairs = [pair for one in compared[block.name] for pair in one.pairs if pair.ours is not None]
+        stand = [one for one in compared[block.name] if one.row.published is not None]
+        pairs = [pair for one in stand for pair in _accuracies(one) if pair.ours is not None]
         if pairs:
-            counts.append(f"{block.heading}: {sum(pair.met for pair in pairs)} of {len(pairs)}")
-    return f"**Figures of {source} that are met or bettered: {'; '.join(counts)}.**" if counts else ""
+            rows = "1 row" if len(stand) == 1 else f"{len(stand)} rows"
+            counts.append(
+                f"{block.heading}: {sum(pair.met for pair in pairs)} of the {len(pairs)} accuracies of {rows}"
+            )
+    if not counts:
+        return ""
+    return (
+        f"**Accuracies of {source} met or bettered by the rows that stand for its rows: {'; '.join(counts)}.** Not "
+        "counted are times, which are of other hardware, and rows that are only shown beside a published one."
+    )
+
+
+def _accuracies(one: Comparison) -> list[Pair]:
+    """The errors of a row that stands for a published one; none of any other row."""
+    return [pair for pair in one.pairs if pair.measure != PAGE_TIME] if one.row.published is not None else []
 
 
 def _not_met(comparisons: list[Comparison]) -> str:
     worse = [
         f"`{one.row.id}` {pair.measure.name} ({_ratio(pair.ratio)})"
         for one in comparisons
-        for pair in one.pairs
+        for pair in _accuracies(one)
         if pair.ratio is not None and not pair.met
     ]
-    return f"Worse than published: {', '.join(worse) or 'nothing'}."
+    if not any(one.row.published is not None for one in comparisons):
+        return ""
+    return f"Less accurate than published: {', '.join(worse) or 'nothing'}."
 
 
 def _times(about: dict[str, Any], published: Published | None) -> str:
@@ -144,7 +161,7 @@ def _comparison_table(comparisons: Sequence[Comparison]) -> str:
             text = NO_VALUE if pair is None or pair.ratio is None else _ratio(pair.ratio)
             ratio.append(f"**{text}**" if pair is not None and pair.met else text)
         # A method of ours stands beside another method's figures.
-        whose = "published" if one.row.published == one.row.id else f"published, `{one.row.published}`"
+        whose = "published" if one.row.published is not None else f"published, `{one.row.beside}`"
         lines += [[escape(one.row.label), whose, *published], ["", "ours", *ours], ["", "ratio", *ratio]]
     return markdown_table(lines, text_columns=2)
 
