@@ -353,7 +353,7 @@ def test_unknown_table_offers_the_nearest(capsys: pytest.CaptureFixture[str]) ->
     [
         ({"published": "gd-11"}, "unknown published row 'gd-11'; did you mean 'gd-10'"),
         ({"published": None, "beside": "gd-11"}, "unknown published row 'gd-11'; did you mean 'gd-10'"),
-        ({"beside": "gd-10"}, "stands for a published row ('published') or beside one ('beside'), not both"),
+        ({"beside": "gd-10"}, "or beside one .'beside'., not both"),
         ({"tracker": "cmeas"}, "unknown tracker 'cmeas'; did you mean 'cmaes'"),
         ({"keypoints": "observd"}, "unknown keypoints 'observd'"),
         ({"floor": "ground"}, "there is no row 'ground' to be its floor"),
@@ -426,6 +426,18 @@ def test_only_rows_with_a_published_one_are_compared(definition: Definition, res
         *("rotation_error_rad", "translation_error_m", "q1_error_rad", "q2_error_rad", "q3_error_rad"),
         "latency_optimise_ms",
     }
+
+
+def test_what_this_machine_lacks_is_said_first(monkeypatch: pytest.MonkeyPatch, definition: Definition) -> None:
+    from surgbench.reproduce.work import lacking
+    from surgbench.trackers.adam_mitsuba import AdamMitsubaTracker
+
+    monkeypatch.setattr(AdamMitsubaTracker, "unavailable", classmethod(lambda cls: "needs LLVM 17 or later"))
+    lines = lacking(load_table("table1").table, quick=True)
+    assert (
+        "row 'gd-mitsuba-10' will be skipped: tracker 'adam-mitsuba' cannot run here: needs LLVM 17 or later" in lines
+    )
+    assert lacking(definition.table, quick=False) == []
 
 
 def test_without_matplotlib_one_line_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
