@@ -10,7 +10,7 @@ from pydantic import Field, SerializerFunctionWrapHandler, field_validator, mode
 from surgbench.camera import Camera
 from surgbench.config import SUFFIXES, Finite, NotNegative, Positive, Section, locate, parse_model, read_yaml
 from surgbench.errors import ConfigError, unknown_name
-from surgbench.generators.sections import Auxiliary, Correlation, Fraction, Kinematics, Mismatch
+from surgbench.generators.sections import Absences, Auxiliary, Correlation, Fraction, Kinematics, Mismatch
 
 Range = tuple[Finite, Finite]
 
@@ -59,6 +59,7 @@ class Motion(Section):
         ou_sigma_position_m: The same for x, y, z.
         ou_sigma_joints_rad: The same for q1, q2, q3.
         lowpass_cutoff_hz: Cutoff of the second-order Butterworth filter run forwards and backwards.
+        absences: How the instruments leave the picture and come back; not at all unless told. Free motion only.
     """
 
     kind: Literal["free", "rcm"] = "free"
@@ -70,6 +71,18 @@ class Motion(Section):
     ou_sigma_position_m: NotNegative = 0.002
     ou_sigma_joints_rad: NotNegative = 0.02
     lowpass_cutoff_hz: Positive = 3.0
+    absences: Absences | None = None
+
+    @model_serializer(mode="wrap")
+    def _without_what_is_not_there(self, serialise: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        # So that the hash of a dataset without absences does not know of them.
+        return {key: value for key, value in serialise(self).items() if key != "absences" or value is not None}
+
+    @model_validator(mode="after")
+    def _free(self) -> Motion:
+        if self.absences is not None and self.kind != "free":
+            raise ValueError("absences needs kind: free")
+        return self
 
 
 class Workspace(Section):

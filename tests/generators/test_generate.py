@@ -254,14 +254,24 @@ def test_readings_have_bias_drift_and_noise() -> None:
 def test_every_preset_loads() -> None:
     views = ["auxiliary-view", "auxiliary-view-exact", "auxiliary-view-uncalibrated"]
     chasers = ["wire-chaser", "wire-chaser-easy", "wire-chaser-hard", "wire-chaser-mini"]
-    assert packaged_names("presets") == ["agile", *views, "mini", "mismatch", "paper", "paper-rcm", *chasers]
+    assert packaged_names("presets") == [
+        "agile",
+        *views,
+        "in-and-out",
+        "mini",
+        "mismatch",
+        "paper",
+        "paper-rcm",
+        *chasers,
+    ]
     mini, paper = load_preset("mini"), load_preset("paper")
     assert (mini.pairs, mini.frames) == (1, 60)
     assert (paper.pairs, paper.frames) == (16, 1000)
     assert [entry.speed for entry in plan_dataset(paper).sequences] == ["nominal"] * 8 + ["fast"] * 8
     assert [entry.speed for entry in plan_dataset(mini).sequences] == ["nominal"]
-    agile = load_preset("agile")
-    assert (agile.pairs, agile.frames) == (4, 500)
+    for name in ("agile", "in-and-out"):
+        preset = load_preset(name)
+        assert (preset.pairs, preset.frames) == (4, 500)
     for name, frames in (("paper-rcm", 500), ("mismatch", 300)):
         preset = load_preset(name)
         assert (preset.pairs, preset.frames, preset.motion.kind) == (4, frames, "rcm")
