@@ -10,7 +10,7 @@ from pydantic import Field, SerializerFunctionWrapHandler, field_validator, mode
 from surgbench.camera import Camera
 from surgbench.config import SUFFIXES, Finite, NotNegative, Positive, Section, locate, parse_model, read_yaml
 from surgbench.errors import ConfigError, unknown_name
-from surgbench.generators.sections import Auxiliary, Correlation, Fraction, Kinematics, Mismatch
+from surgbench.generators.sections import Absences, Auxiliary, Correlation, Fraction, Kinematics, Mismatch
 
 Range = tuple[Finite, Finite]
 
@@ -67,6 +67,7 @@ class Motion(Section):
         smoothing: ``butterworth``: of second order, run forwards and backwards. ``one-euro``: the filter of Casiez et
             al. (CHI 2012) at rest, which is exponential smoothing; it runs forwards.
         lowpass_cutoff_hz: Cutoff of the smoothing.
+        absences: How the instruments leave the picture and come back; not at all unless told. Free motion only.
     """
 
     kind: Literal["free", "rcm"] = "free"
@@ -80,11 +81,18 @@ class Motion(Section):
     ou_sigma_joints_rad: NotNegative = 0.02
     smoothing: Literal["butterworth", "one-euro"] = "butterworth"
     lowpass_cutoff_hz: Positive = 3.0
+    absences: Absences | None = None
+
+    @model_validator(mode="after")
+    def _free(self) -> Motion:
+        if self.absences is not None and self.kind != "free":
+            raise ValueError("absences needs kind: free")
+        return self
 
     @model_serializer(mode="wrap")
     def _without_what_is_not_there(self, serialise: SerializerFunctionWrapHandler) -> dict[str, Any]:
         # So that the hash of a dataset that does without does not know of them.
-        return _less(serialise(self), fast_max_step=None, smoothing="butterworth")
+        return _less(serialise(self), fast_max_step=None, smoothing="butterworth", absences=None)
 
     def longest_step(self, speed: str) -> MaxStep:
         """Bounds of the steps between waypoints in sequences of this speed."""

@@ -13,6 +13,7 @@ from scipy.interpolate import CubicHermiteSpline
 from scipy.signal import butter, lfilter, sosfiltfilt
 
 from surgbench.errors import ConfigError
+from surgbench.generators.absences import with_absences
 from surgbench.generators.coordinates import TOOL_JOINTS, ArmJoints, Coordinates, FreePose, set_up_arm
 from surgbench.generators.place import Place, clearance_m
 from surgbench.generators.presets import Motion, Preset
@@ -71,7 +72,8 @@ def make_motion(
 
     In every frame the joints lie within the instrument's generating limits, both tips and the wrist of each arm in
     the image, each shaft enters from its own side, and the arms' centre lines keep their clearance. Of robot arms, the
-    joints are within the arm's limits and the wrist in the workspace too.
+    joints are within the arm's limits and the wrist in the workspace too. Where the preset has absences, all this is so
+    before the instruments are drawn back.
 
     Args:
         preset: Motion, workspace, camera and frame rate.
@@ -103,6 +105,11 @@ def make_motion(
             if fits and apart.min() >= preset.workspace.clearance_m:
                 states[..., BETA] = wrap_angle(states[..., BETA])
                 states[..., GAMMA] = wrap_angle(states[..., GAMMA])
+                if preset.motion.absences is not None:
+                    drawn_back = with_absences(preset.motion.absences, places, states, rng)
+                    if drawn_back is None:
+                        continue
+                    states = drawn_back
                 return PairMotion(states, (_moved(left, values[:, 0]), _moved(right, values[:, 1])))
     raise ConfigError(
         f"preset '{preset.name}': no feasible {speed} trajectory of {frames} frames was found; "

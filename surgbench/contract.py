@@ -166,6 +166,8 @@ class Estimate:
         state: ``(9 * arms,)``.
         confidence: 0 to 1.
         lost: The tracker itself thinks it has lost the instrument.
+        standard_deviations: ``(9 * arms,)`` how far off the tracker expects each component of the state to be (rad, m,
+            rad), as of a Gaussian; all greater than 0. ``None`` where it does not know.
 
     Example:
         13 cm before the camera, the shaft along its axis, joints straight and jaws closed; not to be trusted:
@@ -178,6 +180,7 @@ class Estimate:
     state: FloatArray
     confidence: float = 1.0
     lost: bool = False
+    standard_deviations: FloatArray | None = None
 
 
 class Plugin:

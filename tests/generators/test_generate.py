@@ -257,6 +257,7 @@ def test_every_preset_loads() -> None:
     assert packaged_names("presets") == [
         "agile",
         *views,
+        "in-and-out",
         "mini",
         "mismatch",
         "paper",
@@ -269,8 +270,9 @@ def test_every_preset_loads() -> None:
     assert (paper.pairs, paper.frames) == (16, 1000)
     assert [entry.speed for entry in plan_dataset(paper).sequences] == ["nominal"] * 8 + ["fast"] * 8
     assert [entry.speed for entry in plan_dataset(mini).sequences] == ["nominal"]
-    agile = load_preset("agile")
-    assert (agile.pairs, agile.frames) == (4, 500)
+    for name in ("agile", "in-and-out"):
+        preset = load_preset(name)
+        assert (preset.pairs, preset.frames) == (4, 500)
     for name, frames in (("paper-rcm", 500), ("mismatch", 300)):
         preset = load_preset(name)
         assert (preset.pairs, preset.frames, preset.motion.kind) == (4, frames, "rcm")

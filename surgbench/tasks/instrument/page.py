@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from surgbench.report.column import NO_VALUE
+from surgbench.report.column import NO_VALUE, Column
 from surgbench.report.figures import FIGURE_PNG
 from surgbench.report.markdown import QUICK_WARNING, escape, failure_lines, markdown_table
 from surgbench.report.row import Row
@@ -13,7 +13,16 @@ from surgbench.reproduce.compare import Comparison, Pair, compare
 from surgbench.reproduce.published import Published
 from surgbench.reproduce.results import Results
 from surgbench.reproduce.table import Block, Definition, Table
-from surgbench.tasks.instrument.columns import PAGE_ERRORS, PAGE_POSE, PAGE_TIME, PAGE_TIME_P95, PUBLISHED, TIPS
+from surgbench.tasks.instrument.columns import (
+    OUT_OF_VIEW,
+    PAGE_ERRORS,
+    PAGE_POSE,
+    PAGE_TIME,
+    PAGE_TIME_P95,
+    PUBLISHED,
+    SURE,
+    TIPS,
+)
 
 READING = (
     "Errors are means over sequences (each arm is one) ± their standard error, after the paper's rule for the 180° "
@@ -49,6 +58,10 @@ def markdown(definition: Definition, results: Results) -> str:
         floors = _floor_table(block, results.rows)
         if floors:
             parts += ["### Above the floor", FLOOR_NOTE, floors]
+        for title, note, columns in (SURE_PART, OUT_OF_VIEW_PART):
+            told = _told_table(rows, columns)
+            if told:
+                parts += [f"### {title}", note, told]
         gains = _gain_table(block, results)
         if gains:
             parts += ["### What it changes", GAIN_NOTE, gains]
@@ -57,6 +70,22 @@ def markdown(definition: Definition, results: Results) -> str:
 
 FLOOR_NOTE = (
     "How many times the error of the floor row, which searches every frame from its true state: what the masks allow."
+)
+
+SURE_PART = (
+    "How sure they are",
+    "How often the truth lies in the central 90 % interval that a tracker states with its standard deviations: over "
+    "frames, and over the components of each group. 90 is right, 85 to 95 good; less is too sure, more not sure "
+    "enough.",
+    SURE,
+)
+
+OUT_OF_VIEW_PART = (
+    "When the instrument is out of view",
+    "Of the frames in which a tracker says that it is lost, how many have an instrument out of view (precision); of "
+    "those that have, in how many it says so (recall); and the median of the frames that it takes after a return until "
+    "the tips are within 5 mm again. No error counts frames out of view.",
+    OUT_OF_VIEW,
 )
 
 GAIN_NOTE = (
@@ -179,6 +208,19 @@ def _floor_table(block: Block, rows: Sequence[Row]) -> str:
         ]
         lines.append([escape(row.label), f"`{row.floor}`", *ratios])
     return markdown_table(lines, text_columns=2) if len(lines) > 1 else ""
+
+
+def _told_table(rows: Sequence[Row], columns: Sequence[Column]) -> str:
+    """The rows that have one of some columns."""
+    telling = [row for row in rows if any(row[column.key] is not None for column in columns)]
+    if not telling:
+        return ""
+    lines = [["method", "row id", *(column.heading for column in columns)]]
+    lines += [
+        [escape(row["label"]), f"`{row['row_id']}`", *(column.text(row[column.key]) for column in columns)]
+        for row in telling
+    ]
+    return markdown_table(lines, text_columns=2)
 
 
 def _gain_table(block: Block, results: Results) -> str:

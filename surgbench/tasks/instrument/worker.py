@@ -55,6 +55,7 @@ class Answer:
     state: FloatArray
     confidence: float
     lost: bool
+    standard_deviations: FloatArray | None
     latency_ms: float
     latency_optimise_ms: float
     latency_keypoints_ms: float
@@ -91,6 +92,29 @@ def check_confidence(value: Any, who: str) -> float:
     if not np.isfinite(confidence):
         raise InvalidAnswerError(f"{who} returned a confidence that is no number ({value!r})")
     return confidence
+
+
+def check_standard_deviations(value: Any, size: int, who: str) -> FloatArray | None:
+    """A plug-in's standard deviations as a ``(size,)`` array of finite numbers above 0; ``None`` stays ``None``.
+
+    Raises:
+        InvalidAnswerError: They are something else; one line that says what.
+    """
+    if value is None:
+        return None
+    try:
+        deviations = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InvalidAnswerError(
+            f"{who} returned standard deviations of {type(value).__name__}, not an array of {size} numbers"
+        ) from None
+    if deviations.shape != (size,):
+        raise InvalidAnswerError(f"{who} returned standard deviations of shape {deviations.shape}, not ({size},)")
+    if not np.isfinite(deviations).all():
+        raise InvalidAnswerError(f"{who} returned standard deviations with NaN or infinity")
+    if (deviations <= 0).any():
+        raise InvalidAnswerError(f"{who} returned a standard deviation of {deviations.min():g}, not above 0")
+    return deviations
 
 
 class Loop:
@@ -166,6 +190,9 @@ class Loop:
         estimate = answer if isinstance(answer, Estimate) else Estimate(answer)
         state = check_state(estimate.state, self._size, f"tracker '{self._setup.tracker.name}'")
         confidence = check_confidence(estimate.confidence, f"tracker '{self._setup.tracker.name}'")
+        deviations = check_standard_deviations(
+            estimate.standard_deviations, self._size, f"tracker '{self._setup.tracker.name}'"
+        )
         before = time.perf_counter()
         filtered = self._filter.update(state.copy())
         filter_s += time.perf_counter() - before
@@ -176,6 +203,7 @@ class Loop:
             state=state,
             confidence=confidence,
             lost=bool(estimate.lost),
+            standard_deviations=deviations,
             latency_ms=1e3 * (time.perf_counter() - begin),
             latency_optimise_ms=1e3 * optimise_s,
             latency_keypoints_ms=1e3 * keypoints_s,
