@@ -17,6 +17,7 @@ from surgbench.camera.change_of_view import ChangeOfView
 from surgbench.config import Section
 from surgbench.contract import Observation, Scene, View
 from surgbench.geometry import FloatArray
+from surgbench.keypoints.found import Tips
 from surgbench.silhouette import KeypointProjector, Reference, SilhouetteEvaluator, iou
 
 if TYPE_CHECKING:
@@ -180,13 +181,13 @@ class ViewLoss:
         self._keypoints = weights.keypoints * pixels / pixel
         self._term = KeypointTerm(weights.keypoint_tolerance_px * pixel, weights.keypoint_form)
         self._reference: Reference | None = None
-        self._observed: tuple[FloatArray | None, ...] = ()
+        self._view: View | None = None
         self.change = ChangeOfView(np.eye(4))
 
     def observe(self, view: View) -> None:
         """Take the frame that the next calls score against."""
         self._reference = Reference(view.mask)
-        self._observed = view.keypoints
+        self._view = view
         self.change = ChangeOfView(view.T_view_cam)
 
     @property
@@ -201,9 +202,14 @@ class ViewLoss:
         return self._reference
 
     @property
+    def _observed(self) -> Tips:
+        """The tips that count. Looking at them may ask a detector, which terms without tips need not wait for."""
+        return () if self._view is None or self._keypoints == 0 else self._view.keypoints
+
+    @property
     def has_keypoints(self) -> bool:
         """Whether keypoints were seen, and weigh anything."""
-        return self._keypoints > 0 and any(observed is not None for observed in self._observed)
+        return any(observed is not None for observed in self._observed)
 
     def mismatch(self, states: FloatArray) -> tuple[FloatArray, NDArray[np.int64], NDArray[np.int64]]:
         """Eq. 6 of ``(n, 9 * arms)`` states, pixels; and how many pixels they cover, and cover of the mask."""

@@ -107,9 +107,10 @@ class ViewFit:
         mean, information = self._learned
         self._known = mean, np.linalg.inv(np.linalg.inv(information) + np.diag((CHANGE / CALIBRATION) ** 2))
 
-    def begin(self, view: View) -> None:
-        """Begin a fit to a frame's view."""
+    def begin(self, view: View, *, tips: bool = True) -> None:
+        """Begin a fit to a frame's view, with its tips or to its edges alone."""
         self._view = view
+        self._with_tips = tips
         self.offset_px = 0.0
         self._width: float | None = None
         self._seen_excess = None
@@ -207,6 +208,8 @@ class ViewFit:
     def _add_tips(self, A: FloatArray, b: FloatArray, state: FloatArray, own: FloatArray) -> None:
         """Add the tips' part to the normal equations, in place; each tip goes with the nearer way round."""
         sd = self._config.tip_px
+        if not self._with_tips:
+            return
         size = len(self._scale)
         seen = [(arm, tips) for arm, tips in enumerate(self._view.keypoints) if tips is not None]
         if not seen:

@@ -23,6 +23,7 @@ from surgbench.registry import create, find
 from surgbench.state import JOINTS, STATE_SIZE, clip_joints, split_arms
 from surgbench.suite.settings import Plug
 from surgbench.tasks.instrument.asked import Scored
+from surgbench.tasks.instrument.tips import AskedSource
 
 
 @dataclass(frozen=True)
@@ -49,7 +50,11 @@ class Setup:
 
 @dataclass(frozen=True)
 class Answer:
-    """One frame's estimate and what it took; ``latency_filter_ms`` is the filter's ``predict`` and ``update``."""
+    """One frame's estimate and what it took.
+
+    ``latency_keypoints_ms`` is what the tracker waited for the keypoint source: 0 where it did not look at the tips. It
+    is not in ``latency_optimise_ms``. ``latency_filter_ms`` is the filter's ``predict`` and ``update``.
+    """
 
     start: FloatArray
     state: FloatArray
@@ -130,7 +135,7 @@ class Loop:
         self._size = STATE_SIZE * setup.scene.arms
         self._tracker = self._make(setup.tracker)
         self._filter = self._make(setup.filter)
-        self._keypoints = self._make(setup.keypoints)
+        self._keypoints = AskedSource(self._make(setup.keypoints), setup.keypoints.name)
 
     @staticmethod
     def _make(plug: Plug) -> Any:
@@ -142,9 +147,10 @@ class Loop:
         """State of the first frame by the initialiser, ``(9 * arms,)``, joints within their limits."""
         setup, scene = self._setup, self._scene
         self._keypoints.reset(scene)
-        observation = self._with_keypoints(observation)[0]
+        observation = self._keypoints.show(observation)
         initialiser = self._make(setup.initialiser)
-        state = initialiser.initialise(scene, observation, generator(**setup.initialiser_axes), truth, progress)
+        with self._keypoints.blamed():
+            state = initialiser.initialise(scene, observation, generator(**setup.initialiser_axes), truth, progress)
         return clip_joints(
             check_state(state, self._size, f"initialiser '{setup.initialiser.name}'"), scene.joint_limits
         )
@@ -162,8 +168,8 @@ class Loop:
             self._filter.give_truth(truth)
             state = clip_joints(truth[0], scene.joint_limits)
         self._keypoints.reset(scene)
-        observation = self._with_keypoints(observation)[0]
-        # Compilation and caches belong to nobody's latency.
+        # Compilation and caches belong to nobody's latency: the source is warmed up whether this step looks or not.
+        observation = self._keypoints.show(observation, at_once=True)
         warm = self._make(setup.tracker)
         warm.reset(scene, state.copy(), generator(**setup.tracker_axes))
         warm.step(replace(observation, start=state.copy()))
@@ -181,12 +187,14 @@ class Loop:
         if observation.joints is not None:
             split_arms(start)[:, JOINTS] = observation.joints
         start = clip_joints(start, self._scene.joint_limits)
-        observation, keypoints_s = self._with_keypoints(replace(observation, start=start.copy()))
+        self._keypoints.restart_clock()
+        observation = self._keypoints.show(replace(observation, start=start.copy()))
         if isinstance(self._tracker, Traceable):
             self._tracker.trace = trace
-        before = time.perf_counter()
-        answer = self._tracker.step(observation)
-        optimise_s = time.perf_counter() - before
+        before, waited_s = time.perf_counter(), self._keypoints.asked_s
+        with self._keypoints.blamed():
+            answer = self._tracker.step(observation)
+        optimise_s = time.perf_counter() - before - (self._keypoints.asked_s - waited_s)
         estimate = answer if isinstance(answer, Estimate) else Estimate(answer)
         state = check_state(estimate.state, self._size, f"tracker '{self._setup.tracker.name}'")
         confidence = check_confidence(estimate.confidence, f"tracker '{self._setup.tracker.name}'")
@@ -206,16 +214,9 @@ class Loop:
             standard_deviations=deviations,
             latency_ms=1e3 * (time.perf_counter() - begin),
             latency_optimise_ms=1e3 * optimise_s,
-            latency_keypoints_ms=1e3 * keypoints_s,
+            latency_keypoints_ms=1e3 * self._keypoints.asked_s,
             latency_filter_ms=1e3 * filter_s,
         )
-
-    def _with_keypoints(self, observation: Observation) -> tuple[Observation, float]:
-        begin = time.perf_counter()
-        views = tuple(
-            replace(view, keypoints=tuple(self._keypoints.detect(observation, view))) for view in observation.views
-        )
-        return replace(observation, views=views), time.perf_counter() - begin
 
 
 class Service:
