@@ -105,9 +105,10 @@ def loop_of(monkeypatch: pytest.MonkeyPatch, tracker: Any, source: Any) -> Loop:
     made = {"tracker": tracker, "keypoints": source, "filter": Filter()}
     monkeypatch.setattr(Loop, "_make", staticmethod(lambda plug: made[plug.kind]))
     plugs = {kind: Plug(kind, "", one.name, "", {}, {}, False) for kind, one in made.items()}
-    plugs["initialiser"] = plugs["filter"]
-    play = make_play(frames=2)
-    loop = Loop(Setup(**plugs, scene=play.scene, tracker_axes={"test": 0}, initialiser_axes={"test": 0}))
+    play, axes = make_play(frames=2), {"test": 0}
+    loop = Loop(
+        Setup(plugs["tracker"], plugs["filter"], plugs["filter"], plugs["keypoints"], play.scene, {**axes}, {**axes})
+    )
     loop.begin(play.observations[0], play.truth[0])
     return loop
 
