@@ -61,6 +61,7 @@ def pixels(preset: Preset, instrument: Instrument, states: FloatArray) -> Any:
     return SilhouetteEvaluator((instrument,), preset.camera).score(states, nothing).area
 
 
+@pytest.mark.slow
 def test_nothing_shows_of_an_arm_that_is_drawn_back_all_the_way_and_something_before(
     places: list[Place], staying: FloatArray, preset: Preset, instrument: Instrument
 ) -> None:
@@ -132,6 +133,7 @@ def test_a_sequence_may_end_on_the_way_out(places: list[Place], staying: FloatAr
         assert not np.array_equal(states, staying[:frames])
 
 
+@pytest.mark.slow
 def test_a_part_of_a_sequence_has_the_absences_of_the_whole(preset: Preset, instrument: Instrument) -> None:
     whole = plan_dataset(preset).sequences[-1]
     part = whole.model_copy(update={"frames": 150})
