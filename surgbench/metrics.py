@@ -39,8 +39,8 @@ INTERVAL_COVERAGES = {
 # A Gaussian lies within so many standard deviations of its mean with a probability of 0.9.
 INTERVAL_SIGMAS = 1.6449
 
-# An arm of which less than this share of the picture's pixels shows is out of view: 345 of 700 x 493, about what the
-# front half of closed jaws covers.
+# An arm of which less than this share of the picture's pixels shows is out of view: 345 of 700 x 493, where an
+# instrument in its place has 6000 and more.
 OUT_OF_VIEW_SHARE = 0.001
 # A tracker is right again where the tips are no further off than this.
 RECOVERED_M = 0.005

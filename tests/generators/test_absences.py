@@ -9,9 +9,11 @@ import pytest
 from pydantic import ValidationError
 
 from surgbench.generators.absences import way_out_m, with_absences
+from surgbench.generators.generate import plan_dataset
 from surgbench.generators.place import Place
 from surgbench.generators.presets import Motion, Preset, load_preset
 from surgbench.generators.sections import Absences
+from surgbench.generators.sequence import make_tables
 from surgbench.generators.trajectories import make_pair
 from surgbench.geometry import FloatArray, look_at_rotation
 from surgbench.instrument import Instrument, load_instrument
@@ -60,6 +62,7 @@ def pixels(preset: Preset, instrument: Instrument, states: FloatArray) -> Any:
     return SilhouetteEvaluator((instrument,), preset.camera).score(states, nothing).area
 
 
+@pytest.mark.slow
 def test_nothing_shows_of_an_arm_that_is_drawn_back_all_the_way_and_something_before(
     places: list[Place], staying: FloatArray, preset: Preset, instrument: Instrument
 ) -> None:
@@ -129,6 +132,18 @@ def test_a_sequence_may_end_on_the_way_out(places: list[Place], staying: FloatAr
         assert states is not None
         assert states.shape == (frames, 2, 9)
         assert not np.array_equal(states, staying[:frames])
+
+
+@pytest.mark.slow
+def test_a_part_of_a_sequence_has_the_absences_of_the_whole(preset: Preset, instrument: Instrument) -> None:
+    whole = plan_dataset(preset).sequences[-1]
+    part = whole.model_copy(update={"frames": 150})
+    made, first = (make_tables(preset, entry, instrument, preset.camera) for entry in (whole, part))
+    np.testing.assert_array_equal(first.states, made.states[:150])
+    for name, values in first.observed.items():
+        np.testing.assert_array_equal(values, made.observed[name][:150])
+    # A tip outside the picture is no keypoint.
+    assert np.isnan(made.observed["left_u1_px"]).mean() > 0.1
 
 
 def test_presets_without_absences_know_nothing_of_them() -> None:
