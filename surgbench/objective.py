@@ -35,23 +35,26 @@ class LossWeights(Section):
         appearance: lambda_app / N.
         keypoints: lambda_kpts / N, per pixel of distance.
         keypoint_tolerance_px: tau, distance that costs nothing.
+        single_tips: Whether a tip counts where the other was not found; not as published.
 
     Example:
         >>> from surgbench.objective import LossWeights
         >>> LossWeights(keypoints=0.0)  # the masks alone
-        LossWeights(appearance=1e-06, keypoints=0.0, keypoint_tolerance_px=10.0)
+        LossWeights(appearance=1e-06, keypoints=0.0, keypoint_tolerance_px=10.0, single_tips=False)
     """
 
     appearance: Annotated[Weight, Field(description="lambda_app of eq. 6, per pixel of the image")] = 1e-6
     keypoints: Annotated[Weight, Field(description="lambda_kpts of eq. 5, per pixel of the image")] = 5e-4
     keypoint_tolerance_px: Annotated[Weight, Field(description="tau of eq. 8")] = 10.0
+    single_tips: Annotated[bool, Field(description="a tip counts where the other was not found, too")] = False
 
 
 def keypoint_loss(observed_px: FloatArray, projected_px: FloatArray, tolerance_px: float) -> FloatArray:
     """Distance of projected tips from observed ones, eq. 8.
 
     Args:
-        observed_px: ``(2, 2)`` in no particular order.
+        observed_px: ``(2, 2)`` in no particular order; or ``(1, 2)``, which may be either tip: then the distance of
+            the nearer one counts alone.
         projected_px: ``(..., 2, 2)``; NaN for tips behind the camera.
         tolerance_px: tau; each distance counts only by what it exceeds tau.
 
@@ -73,6 +76,9 @@ def keypoint_loss(observed_px: FloatArray, projected_px: FloatArray, tolerance_p
         distance = np.linalg.norm(difference, axis=-1)
         return np.asarray(np.maximum(distance - tolerance_px, 0.0))
 
+    if len(observed_px) == 1:
+        loss = excess(projected_px - observed_px).min(axis=-1)  # NaN if one is
+        return np.where(np.isnan(loss), np.inf, loss)
     straight = excess(projected_px - observed_px).sum(axis=-1)
     swapped = excess(projected_px - observed_px[::-1]).sum(axis=-1)
     centre = excess(projected_px.mean(axis=-2) - observed_px.mean(axis=-2))
@@ -84,7 +90,7 @@ def keypoint_slope(observed_px: FloatArray, projected_px: FloatArray, tolerance_
     """Derivative of :func:`keypoint_loss` with respect to the projected tips.
 
     Args:
-        observed_px: ``(2, 2)`` in no particular order.
+        observed_px: ``(2, 2)`` in no particular order, or ``(1, 2)``.
         projected_px: ``(..., 2, 2)``; NaN for tips behind the camera.
         tolerance_px: tau.
 
@@ -97,6 +103,11 @@ def keypoint_slope(observed_px: FloatArray, projected_px: FloatArray, tolerance_
         beyond = distance > tolerance_px  # false for NaN
         return np.where(beyond, difference / np.where(beyond, distance, 1.0), 0.0)
 
+    if len(observed_px) == 1:
+        difference = projected_px - observed_px
+        # With a tip behind the camera, that one (NaN), whose direction is zero.
+        nearer = np.linalg.norm(difference, axis=-1).argmin(axis=-1)[..., None, None] == np.arange(2)[:, None]
+        return np.where(nearer, direction(difference), 0.0)
     straight, swapped = projected_px - observed_px, projected_px - observed_px[::-1]
 
     def total(difference: FloatArray) -> FloatArray:
@@ -139,6 +150,7 @@ class ViewLoss:
         self.appearance = weights.appearance * pixels
         self._keypoints = weights.keypoints * pixels
         self._tolerance_px = weights.keypoint_tolerance_px
+        self._single_tips = weights.single_tips
         self._reference: Reference | None = None
         self._view: View | None = None
         self.change = ChangeOfView(np.eye(4))
@@ -163,7 +175,9 @@ class ViewLoss:
     @property
     def _observed(self) -> Tips:
         """The tips that count. Looking at them may ask a detector, which terms without tips need not wait for."""
-        return () if self._view is None or self._keypoints == 0 else self._view.keypoints
+        if self._view is None or self._keypoints == 0:
+            return ()
+        return self._view.tips if self._single_tips else self._view.keypoints
 
     @property
     def has_keypoints(self) -> bool:
