@@ -41,11 +41,13 @@ class LossWeights(Section):
         keypoints: lambda_kpts / N of N pixels, per pixel of distance.
         keypoint_tolerance_px: tau, distance that costs nothing.
         keypoint_form: See :class:`KeypointTerm`.
+        single_tips: Whether a tip counts where the other was not found; not as published.
 
     Example:
         >>> from surgbench.objective import LossWeights
-        >>> LossWeights(keypoints=0.0)  # the masks alone
-        LossWeights(appearance=0.0861, keypoints=0.0, keypoint_tolerance_px=10.0, keypoint_form='printed')
+        >>> masks_alone = LossWeights(keypoints=0.0)
+        >>> masks_alone.appearance, masks_alone.keypoint_tolerance_px
+        (0.0861, 10.0)
     """
 
     appearance: Annotated[Weight, Field(description="lambda_app of eq. 6")] = 0.0861
@@ -55,6 +57,7 @@ class LossWeights(Section):
         Literal["printed", "released"],
         Field(description="eq. 8, or what the paper's code has: L1, tau once for both tips, pixels of 350 x 246"),
     ] = "printed"
+    single_tips: Annotated[bool, Field(description="a tip counts where the other was not found, too")] = False
 
 
 @dataclass(frozen=True)
@@ -89,12 +92,16 @@ class KeypointTerm:
         """The distance.
 
         Args:
-            observed_px: ``(2, 2)`` in no particular order.
+            observed_px: ``(2, 2)`` in no particular order; or ``(1, 2)``, which may be either tip: then what the nearer
+                one exceeds tau by counts alone.
             projected_px: ``(..., 2, 2)``; NaN for tips behind the camera.
 
         Returns:
             ``(...)`` pixels; infinite where a tip lies behind the camera.
         """
+        if len(observed_px) == 1:
+            single = self._excess(self._length(projected_px - observed_px)).min(axis=-1)  # NaN if one is
+            return np.where(np.isnan(single), np.inf, single)
         straight = self._both(projected_px - observed_px)
         swapped = self._both(projected_px - observed_px[::-1])
         centre = self._excess(self._length(projected_px.mean(axis=-2) - observed_px.mean(axis=-2)))
@@ -105,12 +112,18 @@ class KeypointTerm:
         """Derivative of :meth:`loss` with respect to the projected tips.
 
         Args:
-            observed_px: ``(2, 2)`` in no particular order.
+            observed_px: ``(2, 2)`` in no particular order, or ``(1, 2)``.
             projected_px: ``(..., 2, 2)``; NaN for tips behind the camera.
 
         Returns:
             ``(..., 2, 2)``; zero for tips within the tolerance or behind the camera.
         """
+        if len(observed_px) == 1:
+            single = projected_px - observed_px
+            length = self._length(single)
+            # With a tip behind the camera, that one (NaN), whose slope is zero.
+            counts = (length.argmin(axis=-1)[..., None] == np.arange(2)) & (length > self.tolerance_px)
+            return np.where(counts[..., None], self._direction(single), 0.0)
         straight, swapped = projected_px - observed_px, projected_px - observed_px[::-1]
         nearer = (self._both(straight) <= self._both(swapped))[..., None, None]
         tips = np.where(nearer, straight, swapped)
@@ -179,6 +192,7 @@ class ViewLoss:
         # Pixels of the image that a pixel of distance is: the released code measures in its own, smaller pictures.
         pixel = float(np.sqrt(pixels / RELEASED_PIXELS)) if released else 1.0
         self._keypoints = weights.keypoints * pixels / pixel
+        self._single_tips = weights.single_tips
         self._term = KeypointTerm(weights.keypoint_tolerance_px * pixel, weights.keypoint_form)
         self._reference: Reference | None = None
         self._view: View | None = None
@@ -204,7 +218,9 @@ class ViewLoss:
     @property
     def _observed(self) -> Tips:
         """The tips that count. Looking at them may ask a detector, which terms without tips need not wait for."""
-        return () if self._view is None or self._keypoints == 0 else self._view.keypoints
+        if self._view is None or self._keypoints == 0:
+            return ()
+        return self._view.tips if self._single_tips else self._view.keypoints
 
     @property
     def has_keypoints(self) -> bool:
