@@ -273,7 +273,7 @@ def lost_recall(lost: ArrayLike, out_of_view: ArrayLike) -> FloatArray:
     return np.where(out_of_view, lost.astype(np.float64), np.nan)
 
 
-def frames_to_recover(tip_errors: FloatArray, out_of_view: ArrayLike) -> float:
+def frames_to_recover(tip_errors: ArrayLike, out_of_view: ArrayLike) -> float:
     """Median over an arm's returns into view: frames from the first in view until the tips are right again.
 
     That is the first frame whose tip error is at most ``RECOVERED_M``. A return after which none is counts as all the
