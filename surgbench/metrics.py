@@ -243,6 +243,13 @@ def lost_precision(lost: ArrayLike, out_of_view: ArrayLike) -> FloatArray:
 
     Returns:
         ``(T,)``; NaN in all other frames, and in all where no instrument is ever out of view.
+
+    Example:
+        Two frames out of view, of which the tracker notices the second, and goes on for one too many:
+
+        >>> from surgbench.metrics import lost_precision
+        >>> lost_precision([False, False, True, True], [False, True, True, False])
+        array([nan, nan,  1.,  0.])
     """
     lost, out_of_view = np.asarray(lost, dtype=bool), np.asarray(out_of_view, dtype=bool)
     return np.where(lost & out_of_view.any(), out_of_view.astype(np.float64), np.nan)
@@ -263,17 +270,15 @@ def lost_recall(lost: ArrayLike, out_of_view: ArrayLike) -> FloatArray:
     Example:
         Two frames out of view, of which the tracker notices the second, and goes on for one too many:
 
-        >>> import numpy as np
-        >>> from surgbench.metrics import lost_precision, lost_recall
-        >>> out_of_view, lost = [False, True, True, False], [False, False, True, True]
-        >>> lost_recall(lost, out_of_view), lost_precision(lost, out_of_view)
-        (array([nan,  0.,  1., nan]), array([nan, nan,  1.,  0.]))
+        >>> from surgbench.metrics import lost_recall
+        >>> lost_recall([False, False, True, True], [False, True, True, False])
+        array([nan,  0.,  1., nan])
     """
     lost, out_of_view = np.asarray(lost, dtype=bool), np.asarray(out_of_view, dtype=bool)
     return np.where(out_of_view, lost.astype(np.float64), np.nan)
 
 
-def frames_to_recover(tip_errors: FloatArray, out_of_view: ArrayLike) -> float:
+def frames_to_recover(tip_errors: ArrayLike, out_of_view: ArrayLike) -> float:
     """Median over an arm's returns into view: frames from the first in view until the tips are right again.
 
     That is the first frame whose tip error is at most ``RECOVERED_M``. A return after which none is counts as all the

@@ -112,6 +112,7 @@ def test_instruments_come_and_go_smoothly(leaving: FloatArray) -> None:
 
 def test_a_preset_with_absences_makes_them(preset: Preset, instrument: Instrument) -> None:
     states = make_pair(preset, instrument, "fast", 200, generator(test=0))
+    assert preset.motion.absences is not None
     for index in range(2):
         assert (pixels(preset, instrument, states[:, index]) == 0).sum() >= preset.motion.absences.out_frames[0]
     assert states[..., POSITION][..., 2].min() > 0

@@ -165,13 +165,13 @@ def _errors(
         coverages = metrics.interval_coverages(states, _deviations(answers, shape), truth)
         errors |= {name: _finite(np.where(away, np.nan, values)) for name, values in coverages.items()}
     # There is nothing to be held against a silhouette where no instrument shows.
-    seen: list[bool] = [bool(arms.any()) for arms in ~away]
+    nothing = np.asarray(away.all(axis=1))
     observed, clean = zip(*mask_errors, strict=True) if mask_errors else ((), ())
-    errors["mask_error"] = [value if one else None for value, one in zip(observed, seen, strict=True)]
+    errors["mask_error"] = [None if gone else value for value, gone in zip(observed, nothing, strict=True)]
     if data.truth is None:
         errors["mask_error_true"] = None
     else:
-        errors["mask_error_true"] = [value if one else None for value, one in zip(clean, seen, strict=True)]
+        errors["mask_error_true"] = [None if gone else value for value, gone in zip(clean, nothing, strict=True)]
     states, starts = (np.where(away[..., None], np.nan, values) for values in (states, starts))
     tips = [instrument.tips_cam(states[:, arm]) for arm, instrument in enumerate(data.instruments)]
     errors["lag_ms"] = _lags(states, data)

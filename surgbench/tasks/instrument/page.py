@@ -59,7 +59,7 @@ def markdown(definition: Definition, results: Results) -> str:
         if floors:
             parts += ["### Above the floor", FLOOR_NOTE, floors]
         for title, note, columns in (SURE_PART, OUT_OF_VIEW_PART):
-            told = _told_table(rows, columns)
+            told = told_table(rows, columns)
             if told:
                 parts += [f"### {title}", note, told]
         gains = _gain_table(block, results)
@@ -210,7 +210,7 @@ def _floor_table(block: Block, rows: Sequence[Row]) -> str:
     return markdown_table(lines, text_columns=2) if len(lines) > 1 else ""
 
 
-def _told_table(rows: Sequence[Row], columns: Sequence[Column]) -> str:
+def told_table(rows: Sequence[Row], columns: Sequence[Column]) -> str:
     """The rows that have one of some columns."""
     telling = [row for row in rows if any(row[column.key] is not None for column in columns)]
     if not telling:
