@@ -78,13 +78,13 @@ def test_a_fit_moves_the_tip_that_was_seen(camera: Camera, index: int) -> None:
         fit = ContourFit(scene, evaluator, STATE_SCALE, FitConfig(**options))(state, frame, prior)
         return float(np.linalg.norm(camera.project(scene.instruments[0].tips_cam(fit.state))[index] - seen[0]))
 
-    assert left_px() < 0.3
-    assert left_px(single_tips=False) == pytest.approx(np.hypot(2.0, 3.0))
+    assert left_px(single_tips=True) < 0.3
+    assert left_px() == pytest.approx(np.hypot(2.0, 3.0))
 
 
-def test_a_single_tip_is_either_of_two_that_lie_together_and_else_the_nearer() -> None:
+def test_a_single_tip_is_the_nearer_one_and_says_nothing_where_both_lie_together() -> None:
     together, apart = np.array([[80.0, 60.0], [80.0, 60.0]]), np.array([[80.0, 60.0], [180.0, 60.0]])
-    np.testing.assert_allclose(_offsets(np.array([[83.0, 60.0]]), together, 9.0)[1], [0.5, 0.5])
+    np.testing.assert_allclose(_offsets(np.array([[83.0, 60.0]]), together, 9.0)[1], [0.0, 0.0])
     off, share = _offsets(np.array([[83.0, 60.0]]), apart, 9.0)
     np.testing.assert_allclose(off[0], [3.0, 0.0])
     np.testing.assert_allclose(share, [1.0, 0.0], atol=1e-12)

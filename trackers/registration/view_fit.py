@@ -39,7 +39,7 @@ class FitConfig(Section):
     width_px: Annotated[Positive, Field(description="offsets beyond it count ever less (Geman-McClure)")] = 2.0
     offset_px: Annotated[Positive, Field(description="standard deviation of the offset common to all edges")] = 0.5
     tip_px: Annotated[Positive, Field(description="standard deviation of a tip keypoint")] = 3.0
-    single_tips: Annotated[bool, Field(description="fit to a tip where the other was not found, too")] = True
+    single_tips: Annotated[bool, Field(description="fit to a tip where the other was not found, too")] = False
 
 
 # How wrong T_view_cam of a further view may be, and how much that changes from frame to frame: rotation vector and
@@ -234,13 +234,14 @@ class ViewFit:
 def _offsets(seen: FloatArray, projected: FloatArray, width_px: float) -> tuple[FloatArray, FloatArray]:
     """How far each projected tip is from what was seen of it, ``(2, 2)``, and how much that counts, ``(2,)``.
 
-    Two seen tips go with the projected ones in the nearer way round. A single one may be either: it counts for each in
-    proportion to how likely it is that one, so that of two that lie together both are drawn, and else the nearer alone.
+    Two seen tips go with the projected ones in the nearer way round. A single one may be either: it goes with the nearer,
+    and counts by how much likelier it is that one; nothing where both lie alike, for drawing both would close the jaws.
     """
     if len(seen) == 1:
         off = seen - projected
         squares = (off**2).sum(axis=1)
         likely = np.exp((squares.min() - squares) / (2.0 * width_px**2))
-        return off, likely / likely.sum()
+        share = likely / likely.sum()
+        return off, np.maximum(share - share[::-1], 0.0)
     off = min((seen - projected, seen[::-1] - projected), key=lambda way: float((way**2).sum()))
     return off, np.ones(2)
