@@ -45,14 +45,14 @@ def main() -> None:
     config = ResNet18Keypoints.Config()
     network, settings = load_network(config.path)
     names = ["torch"] + ["onnxruntime"] * all(find_spec(name) is not None for name in ONNX_PACKAGES)
-    engines: dict[str, Engine] = {name: make_engine(name, network, settings) for name in names}  # type: ignore[arg-type]
+    engines: dict[str, Engine] = {name: make_engine(name, network, settings) for name in names}
     detectors = {
         name: TipDetector(
             network,
             settings,
             config.least_heat,
             config.apart_px,
-            engine=name,  # type: ignore[arg-type]
+            engine=name,
             peaks=config.peaks,
         )
         for name in names

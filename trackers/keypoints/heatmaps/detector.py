@@ -107,4 +107,5 @@ class TipDetector:
         count = int((look.heat >= self._least_heat).sum())
         if count == 0 or (count == 1 and look.heat[0] <= self._single_heat) or (count > TIPS and not self._top):
             return None
-        return look.square.to_image(look.peaks[: min(count, TIPS)], self._size)
+        tips: FloatArray = look.square.to_image(look.peaks[: min(count, TIPS)], self._size)
+        return tips
