@@ -234,8 +234,9 @@ class ViewFit:
 def _offsets(seen: FloatArray, projected: FloatArray, width_px: float) -> tuple[FloatArray, FloatArray]:
     """How far each projected tip is from what was seen of it, ``(2, 2)``, and how much that counts, ``(2,)``.
 
-    Two seen tips go with the projected ones in the nearer way round. A single one may be either: it goes with the nearer,
-    and counts by how much likelier it is that one; nothing where both lie alike, for drawing both would close the jaws.
+    Two seen tips go with the projected ones in the nearer way round. A single one may be either: it goes with the
+    nearer, and counts by how much likelier it is that one; nothing where both lie alike, for drawing both would close
+    the jaws.
     """
     if len(seen) == 1:
         off = seen - projected
