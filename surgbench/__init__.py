@@ -28,6 +28,7 @@ if TYPE_CHECKING:
         mask_error,
         pose_errors,
         rotation_error,
+        translation_error_scaled,
     )
     from surgbench.objective import LossWeights, Objective
     from surgbench.report.notebook import leaderboard, load_records
@@ -68,6 +69,7 @@ __all__ = [
     "open_dataset",
     "pose_errors",
     "rotation_error",
+    "translation_error_scaled",
 ]
 
 _NAMES_IN = {
@@ -87,6 +89,7 @@ _NAMES_IN = {
         "mask_error",
         "pose_errors",
         "rotation_error",
+        "translation_error_scaled",
     ),
     "surgbench.objective": ("LossWeights", "Objective"),
     "surgbench.report.notebook": ("leaderboard", "load_records"),

@@ -308,6 +308,36 @@ def frames_to_recover(tip_errors: ArrayLike, out_of_view: ArrayLike) -> float:
     return float(np.median(taken)) if taken else float("nan")
 
 
+def translation_error_scaled(estimate_m: FloatArray, truth_m: FloatArray) -> float:
+    """Mean distance of an arm's places from the true ones after the one factor that brings them nearest.
+
+    A silhouette does not show whether an instrument is larger and further away. What is left after the factor, ``s`` of
+    least ``sum |s p - p*|²``, is the tracker's doing.
+
+    Args:
+        estimate_m: ``(T, 3)`` places of the wrist in the camera's frame; frames with NaN do not count.
+        truth_m: Same shape.
+
+    Returns:
+        Metres; NaN without frames.
+
+    Example:
+        Everything 1 % too far away:
+
+        >>> import numpy as np
+        >>> from surgbench.metrics import translation_error_scaled
+        >>> truth = np.array([[0.0, 0.01, 0.12], [0.02, 0.0, 0.14]])
+        >>> round(translation_error_scaled(1.01 * truth, truth), 12)
+        0.0
+    """
+    counts = np.isfinite(estimate_m).all(axis=-1) & np.isfinite(truth_m).all(axis=-1)
+    estimate, truth = estimate_m[counts], truth_m[counts]
+    if not len(estimate):
+        return float("nan")
+    factor = float((estimate * truth).sum() / (estimate**2).sum())
+    return float(np.linalg.norm(factor * estimate - truth, axis=-1).mean())
+
+
 def jitter(tips: FloatArray, dt_s: float) -> float:
     """How much the estimate trembles: root mean square acceleration of the point midway between the tips.
 

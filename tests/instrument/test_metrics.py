@@ -21,6 +21,7 @@ from surgbench.metrics import (
     mask_error,
     pose_errors,
     rotation_error,
+    translation_error_scaled,
 )
 from surgbench.randomness import generator
 from surgbench.report.summary import summarise
@@ -221,3 +222,16 @@ def test_summarise_without_values() -> None:
     assert summarise([[np.array([1.0])]]).sem is None
     empty = summarise([[np.array([np.nan])], []])
     assert (empty.mean, empty.std, empty.sem) == (None, None, None)
+
+
+def test_a_common_factor_in_distance_is_no_scaled_error() -> None:
+    """What is left is what the factor cannot mend: a step aside, seen whole; and frames that do not count do not."""
+    truth = np.random.default_rng(0).normal([0.0, 0.0, 0.13], 0.01, (50, 3))
+    assert translation_error_scaled(0.9 * truth, truth) == pytest.approx(0.0, abs=1e-15)
+    aside = 1.05 * truth + np.random.default_rng(1).normal(0.0, 1e-4, (50, 3))
+    left = translation_error_scaled(aside, truth)
+    assert 5e-5 < left < 3e-4
+    assert left == pytest.approx(translation_error_scaled(2.0 * aside, truth))
+    gone = np.vstack([aside, np.full((5, 3), np.nan)])
+    assert translation_error_scaled(gone, np.vstack([truth, np.zeros((5, 3))])) == pytest.approx(left)
+    assert np.isnan(translation_error_scaled(gone[50:], truth[:5]))

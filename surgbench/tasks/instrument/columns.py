@@ -50,6 +50,8 @@ _PAGE_ROTATION, _PAGE_MASK, _PAGE_TRUE_MASK, *_PAGE_JOINTS = (
     replace(column, decimals=4) for column in (ROTATION, MASK, TRUE_MASK, *JOINTS)
 )
 _PAGE_KEYPOINTS = replace(KEYPOINTS, decimals=2)
+# After the one factor in distance that a silhouette cannot show.
+PAGE_SCALED = Column("translation_error_scaled_m", "translation, scaled", "mm", 2, 1000.0)
 PAGE_POSE = (_PAGE_ROTATION, TRANSLATION, TIPS, *_PAGE_JOINTS)
 PAGE_ERRORS = (*PAGE_POSE, _PAGE_MASK, _PAGE_TRUE_MASK, _PAGE_KEYPOINTS)
 PUBLISHED = (_PAGE_ROTATION, TRANSLATION, *_PAGE_JOINTS, _PAGE_MASK, _PAGE_KEYPOINTS, PAGE_TIME)

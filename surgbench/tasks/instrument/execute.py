@@ -142,7 +142,9 @@ def _errors(
     data: UnitData, answers: list[Answer], mask_errors: list[tuple[float, float | None]]
 ) -> dict[str, list[Any] | None]:
     """Errors of all frames; ``None`` where there is no truth to hold them against."""
-    errors: dict[str, list[Any] | None] = dict.fromkeys((*metrics.POSE_ERRORS, "frames_to_recover", *SHARES))
+    errors: dict[str, list[Any] | None] = dict.fromkeys(
+        (*metrics.POSE_ERRORS, "translation_error_scaled_m", "frames_to_recover", *SHARES)
+    )
     shape = (len(answers), len(data.unit.arms), STATE_SIZE)
     states = np.array([answer.state for answer in answers]).reshape(shape)
     starts = np.array([answer.start for answer in answers]).reshape(shape)
@@ -159,6 +161,9 @@ def _errors(
         tip_errors = [arm["tip_error_m"] for arm in per_arm]
         recovered = [metrics.frames_to_recover(*arm) for arm in zip(tip_errors, away.T, strict=True)]
         errors["frames_to_recover"] = _finite(np.array(recovered))
+        places = np.where(away[..., None], np.nan, states[..., POSITION])
+        scaled = [metrics.translation_error_scaled(places[:, arm], truth[:, arm, POSITION]) for arm in range(shape[1])]
+        errors["translation_error_scaled_m"] = _finite(np.array(scaled))
         lost, any_away = [answer.lost for answer in answers], away.any(axis=1)
         errors["lost_precision"] = _finite(metrics.lost_precision(lost, any_away))
         errors["lost_recall"] = _finite(metrics.lost_recall(lost, any_away))

@@ -17,6 +17,7 @@ from surgbench.tasks.instrument.columns import (
     OUT_OF_VIEW,
     PAGE_ERRORS,
     PAGE_POSE,
+    PAGE_SCALED,
     PAGE_TIME,
     PAGE_TIME_P95,
     PUBLISHED,
@@ -162,12 +163,14 @@ def _dataset(block: Block, dataset: dict[str, Any]) -> str:
 
 def _block_table(rows: Sequence[Row]) -> str:
     partly = any(row["coverage"] < 1 for row in rows)
-    headings = ["method", "row id", *(column.heading for column in (*PAGE_ERRORS, PAGE_TIME, PAGE_TIME_P95))]
+    scaled = [PAGE_SCALED] if any(row[PAGE_SCALED.key] is not None for row in rows) else []
+    spreadless = (*scaled, PAGE_TIME, PAGE_TIME_P95)
+    headings = ["method", "row id", *(column.heading for column in (*PAGE_ERRORS, *spreadless))]
     lines = [headings + (["sequences × frames"] if partly else [])]
     for row in rows:
         cells = [escape(row["label"]), f"`{row['row_id']}`"]
         cells += [column.with_spread(row[column.key], row[f"{column.key}_sem"]) for column in PAGE_ERRORS]
-        cells += [column.text(row[column.key]) for column in (PAGE_TIME, PAGE_TIME_P95)]
+        cells += [column.text(row[column.key]) for column in spreadless]
         if partly:
             frames = row["frames"] / row["sequences"] / row["repeats"]
             cells.append(f"{row['sequences']} × {frames:g}" if frames else row["status"])

@@ -12,7 +12,7 @@ from surgbench.metrics import INTERVAL_COVERAGES, POSE_ERRORS
 from surgbench.records.format import Frames, Number, Plug, Record, RecordSpec
 
 # Errors that have one value for all frames together.
-PER_ARM = ("jitter", "lag_ms", "start_lag_ms", "frames_to_recover")
+PER_ARM = ("translation_error_scaled_m", "jitter", "lag_ms", "start_lag_ms", "frames_to_recover")
 # Values between 0 and 1 of which a mean is a share, and has no spread: of frames, or of components of the state.
 LOST_SHARES = ("lost_precision", "lost_recall")
 SHARES = (*LOST_SHARES, *INTERVAL_COVERAGES)
