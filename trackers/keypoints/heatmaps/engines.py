@@ -1,4 +1,4 @@
-"""What works the network out: PyTorch, or ONNX Runtime, which takes a third of the time on one core of a CPU."""
+"""What works the network out: PyTorch, or ONNX Runtime, which takes a third to half of the time on one core of a CPU."""
 
 from __future__ import annotations
 

@@ -111,7 +111,7 @@ def find_square(mask: Mask) -> Square | None:
     # Perspective makes the near end of the shaft thicker: the thickness that counts is that near the far end.
     radius = float(thickness.max())
     for _ in range(2):
-        near = np.linalg.norm(places - places[far], axis=1) <= max(REACH_RADII * radius, 1.0)
+        near = _distances(places, places[far]) <= max(REACH_RADII * radius, 1.0)
         radius = float(thickness[near].max())
     middle = places[near].mean(axis=0)
     way = middle - entry
@@ -151,4 +151,10 @@ def _entry(places: FloatArray, thickness: FloatArray, on_border: NDArray[np.bool
 
 
 def _farthest(places: FloatArray, place: FloatArray) -> int:
-    return int(np.argmax(np.linalg.norm(places - place, axis=1)))
+    return int(np.argmax(_distances(places, place)))
+
+
+def _distances(places: FloatArray, place: FloatArray) -> FloatArray:
+    """As ``np.linalg.norm`` along the short axis, to the last bit, but faster."""
+    across, down = places[:, 0] - place[0], places[:, 1] - place[1]
+    return np.asarray(np.sqrt(across * across + down * down))
