@@ -148,7 +148,7 @@ def test_the_overlap_is_pooled_and_the_loss_is_each_views_own(camera: Camera) ->
         S = SilhouetteEvaluator(scene.instruments, view.camera).mask(own)
         shared, union = shared + int((S & view.mask).sum()), union + int((S | view.mask).sum())
         excess = abs(int(S.sum()) - int(view.mask.sum()))
-        expected += float((S ^ view.mask).sum()) + 1e-6 * view.mask.size * excess
+        expected += float((S ^ view.mask).sum()) + LossWeights().appearance * excess
     assert overlaps[1] == pytest.approx(shared / union)
     assert losses[1] == pytest.approx(expected)
 

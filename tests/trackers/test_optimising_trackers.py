@@ -160,14 +160,32 @@ def test_pycma_never_breaks_its_covariance(options: dict[str, Any], small_camera
 # --- adam
 
 
-def test_adam_moves_a_joint_off_its_limit(camera: Camera) -> None:
-    """In the search space the slope is zero there."""
+@pytest.mark.parametrize("joints", ["clamped", "cosine"])
+def test_adam_moves_a_joint_off_its_limit(camera: Camera, joints: str) -> None:
+    """With the cosine the slope is zero there."""
     scene = scene_of(camera)
     truth = resting_state()
     closed = truth.copy()
     closed[8] = scene.limits[0].lower_rad[2]
-    estimate = run(AdamTracker(), scene, [replace(observe(scene, truth), start=closed)])[0]
+    tracker = AdamTracker(AdamTracker.Config.model_validate({"joints": joints, "estimate": "last"}))
+    estimate = run(tracker, scene, [replace(observe(scene, truth), start=closed)])[0]
     assert estimate[8] > closed[8] + 2.5e-4
+
+
+def test_clamped_joints_stay_on_their_limits(camera: Camera) -> None:
+    """However far a step would carry them."""
+    scene = scene_of(camera)
+    truth = resting_state()
+    frame = replace(observe(scene, truth), start=truth)
+    config = AdamTracker.Config(learning_rate=100.0, iterations=3, estimate="last")
+    tracker = AdamTracker(config)
+    tracker.trace = Trace()
+    run(tracker, scene, [frame])
+    limits = scene.limits[0]
+    joints = np.array(tracker.trace.states)[:, 0, 6:]
+    assert (joints >= limits.lower_rad).all()
+    assert (joints <= limits.upper_rad).all()
+    assert np.isin(joints, [limits.lower_rad, limits.upper_rad]).any()
 
 
 def test_adam_takes_the_last_state_or_the_best(camera: Camera) -> None:
