@@ -25,7 +25,7 @@ from surgbench.geometry import (
 from surgbench.instrument import load_instrument
 from surgbench.randomness import generator, seed_from
 from surgbench.silhouette import SilhouetteEvaluator
-from surgbench.state import STATE_SCALE, JointLimits, StateSpace, clip_joints, split_arms, twin
+from surgbench.state import STATE_SCALE, ClampedSpace, JointLimits, StateSpace, clip_joints, split_arms, twin
 
 LIMITS = JointLimits(np.array([-1.5707, -1.3963, 0.0]), np.array([1.5707, 1.3963, 1.5707]))
 
@@ -160,3 +160,15 @@ def test_streams_depend_on_the_names_of_their_axes_only() -> None:
     assert seed_from(a=0) != seed_from(a=1) != seed_from(b=1)
     assert seed_from(frame=5, seed=0) != seed_from(frame=1, seed=5)
     np.testing.assert_array_equal(generator(seed=0).normal(size=3), generator(seed=0).normal(size=3))
+
+
+def test_a_clamped_space_clips_joints_and_has_a_slope_on_their_limits() -> None:
+    limits = JointLimits(np.array([-1.5, -1.4, 0.0]), np.array([1.5, 1.4, 1.5]))
+    space = ClampedSpace(limits)
+    state = np.array([0.3, 0.4, 0.8, 0.0, 0.0, 0.13, 0.2, -0.1, 0.3])
+    np.testing.assert_allclose(space.decode(space.encode(state)), state, atol=1e-15)
+    beyond = space.encode(state) + np.array([0, 0, 0, 0, 0, 0, 100, -100, -100])
+    closed = space.decode(beyond)
+    np.testing.assert_array_equal(closed[6:], [1.5, -1.4, 0.0])
+    np.testing.assert_allclose(space.nearest(beyond) * STATE_SCALE, closed, atol=1e-15)
+    np.testing.assert_array_equal(space.pull_back(space.nearest(beyond), np.ones(9)), STATE_SCALE)

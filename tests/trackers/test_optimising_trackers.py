@@ -160,14 +160,13 @@ def test_pycma_never_breaks_its_covariance(options: dict[str, Any], small_camera
 # --- adam
 
 
-@pytest.mark.parametrize("joints", ["clamped", "cosine"])
-def test_adam_moves_a_joint_off_its_limit(camera: Camera, joints: str) -> None:
-    """With the cosine the slope is zero there."""
+def test_adam_moves_a_joint_off_its_limit(camera: Camera) -> None:
+    """With the cosine, whose slope is zero there."""
     scene = scene_of(camera)
     truth = resting_state()
     closed = truth.copy()
     closed[8] = scene.limits[0].lower_rad[2]
-    tracker = AdamTracker(AdamTracker.Config.model_validate({"joints": joints, "estimate": "last"}))
+    tracker = AdamTracker(AdamTracker.Config(joints="cosine", estimate="last"))
     estimate = run(tracker, scene, [replace(observe(scene, truth), start=closed)])[0]
     assert estimate[8] > closed[8] + 2.5e-4
 
