@@ -13,6 +13,7 @@ import argparse
 import time
 from collections import defaultdict
 from collections.abc import Callable, Sequence
+from importlib.util import find_spec
 
 import cv2
 import numpy as np
@@ -27,7 +28,7 @@ from surgbench.trackers.keypoints.heatmaps.engines import Engine, make_engine
 from surgbench.trackers.keypoints.heatmaps.model import load_network
 from surgbench.trackers.keypoints.heatmaps.peaks import find_peaks
 from surgbench.trackers.keypoints.heatmaps.square import find_square
-from surgbench.trackers.keypoints.resnet18 import ONNX_PACKAGES, ResNet18Keypoints, find_spec
+from surgbench.trackers.keypoints.resnet18 import ONNX_PACKAGES, ResNet18Keypoints
 
 NEAR_PX = 5.0
 TURNS = 3

@@ -15,8 +15,8 @@ from surgbench.geometry import FloatArray
 from surgbench.objective import KeypointTerm, LossWeights, Objective
 from surgbench.silhouette import SilhouetteEvaluator
 from surgbench.state import STATE_SCALE
-from surgbench.trackers.registration.fit import ContourFit, FitConfig, Prior
-from surgbench.trackers.registration.view_fit import _offsets
+from surgbench.trackers.registration.fit import ContourFit, Prior
+from surgbench.trackers.registration.view_fit import FitConfig, _offsets
 
 PROJECTED = np.array([[80.0, 60.0], [100.0, 60.0]])
 EQ_8 = KeypointTerm(10.0)

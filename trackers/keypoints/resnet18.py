@@ -107,7 +107,7 @@ class ResNet18Keypoints(Plugin):
                 config.least_heat,
                 config.apart_px,
                 self._device,
-                engine=config.engine,
+                engine="onnxruntime" if config.engine == "onnxruntime" else "torch",
                 peaks=config.peaks,
                 single_heat=config.single_heat,
             )

@@ -26,7 +26,7 @@ def onnx_graph(network: HeatmapNetwork, settings: NetworkSettings) -> bytes:
     features = [graph.convolve("picture", network.stem[0], rectified=True)]
     before = graph.add("MaxPool", [features[0]], kernel_shape=[3, 3], strides=[2, 2], pads=[1] * 4)
     for stage in network.stages:
-        for block in stage:
+        for block in stage.children():
             before = graph.block(before, block)
         features.append(before)
     merged = graph.convolve(features[-1], network.lateral[-1])
