@@ -43,11 +43,10 @@ class ResNet18Keypoints(Plugin):
         single_heat: Annotated[
             float, Field(gt=0, le=1, description="what a peak that stands out alone must exceed to be a tip; 1: never")
         ] = 0.5
-        # Not `auto`: what a table says is not to depend on which packages are there.
         engine: Annotated[
             Literal["auto", "torch", "onnxruntime"],
             Field(description="what works the network out on a CPU; auto: onnxruntime where it is installed"),
-        ] = "torch"
+        ] = "auto"
 
         @model_validator(mode="after")
         def _find_model(self) -> ResNet18Keypoints.Config:

@@ -1,4 +1,4 @@
-"""What works the network out: PyTorch, or ONNX Runtime, in a third to half of the time on one core."""
+"""What works the network out: PyTorch, or ONNX Runtime in a third to half of the time on one core of a CPU."""
 
 from __future__ import annotations
 
