@@ -25,9 +25,17 @@ from surgbench.state import STATE_SCALE, StateSpace, clip_joints
 from surgbench.trackers.optimisers.cma import CMA
 from surgbench.trackers.optimisers.cma_settings import published_settings
 from surgbench.trackers.registration.belief import MotionBelief
-from surgbench.trackers.registration.edges import explained_edge
+from surgbench.trackers.registration.edges import missed_edge
 from surgbench.trackers.registration.fit import ContourFit, Fit, FitConfig, Prior
-from surgbench.trackers.registration.proposals import best_of_each, jump_cost, propose, shift_to_mask
+from surgbench.trackers.registration.jaws import JawJudge
+from surgbench.trackers.registration.proposals import (
+    Move,
+    best_of_each,
+    jump_cost,
+    propose,
+    shift_to_mask,
+    sweep_jaws,
+)
 
 # Per second (squared): how fast hands move such an instrument.
 ACCELERATION = np.array([4.0, 12.0, 4.0, 0.4, 0.4, 0.4, 8.0, 8.0, 6.0])
@@ -37,6 +45,8 @@ FOUND = np.array([0.01, 0.05, 0.03, 5e-4, 5e-4, 1e-3, 0.05, 0.05, 0.05])
 DRAWN = np.array([0.1, 1.0, 0.2, 5e-3, 5e-3, 2e-2, 1.0, 1.0, 1.0])
 FAR_IOU = 0.5  # with less overlap the instrument may be somewhere else altogether
 EXPLAINED_PX = 2
+JAW_PX = 3
+BEST_JAWS = 0.15  # what masks leave unexplained of jaws that are right, of their own contour
 BEST_UNEXPLAINED = 0.02  # what masks leave unexplained of a right state
 SAME = 1.0  # jump cost within which two hypotheses are one
 
@@ -52,6 +62,7 @@ class Hypothesis:
         iou: Overlap of its silhouette with the mask.
         explained: Share of its contour that has an edge in the mask.
         explained_mask: Share of the mask's edge that has a contour.
+        missed_jaws: Share of the jaws that is unexplained, of their own contour.
     """
 
     belief: MotionBelief
@@ -60,6 +71,7 @@ class Hypothesis:
     iou: float = 0.0
     explained: float = 1.0
     explained_mask: float = 1.0
+    missed_jaws: float = 0.0
 
 
 class HybridTracker(InstrumentTracker):
@@ -78,6 +90,7 @@ class HybridTracker(InstrumentTracker):
         reading_drift_rad: Annotated[NotNegative, Field(description="how that changes from frame to frame")] = 0.003
         reading_noise_rad: Annotated[Positive, Field(description="what they are wrong by in one frame")] = 0.01
         explained: Annotated[float, Field(ge=0, le=1, description="share of edges below which it searches")] = 0.9
+        jaws: Annotated[float, Field(ge=0, le=1, description="share of a jaw unexplained above which it does")] = 0.35
         samples: Annotated[int, Field(ge=0, description="states drawn in a search; 0: never search")] = 96
         generations: Annotated[int, Field(ge=0, description="of CMA-ES in a search")] = 3
         population: Annotated[int, Field(ge=4, description="samples of such a generation")] = 70
@@ -85,6 +98,7 @@ class HybridTracker(InstrumentTracker):
         hypotheses: Annotated[int, Field(ge=1, description="followed at a time")] = 3
         pause: Annotated[int, Field(ge=0, description="frames without a search after one that found nothing")] = 2
         trust: Annotated[Positive, Field(description="weight of a frame among hypotheses")] = 20.0
+        trust_jaws: Annotated[NotNegative, Field(description="weight of its jaws")] = 10.0
         memory: Annotated[float, Field(ge=0, lt=1, description="of hypotheses' costs from frame to frame")] = 0.8
         given_up: Annotated[Positive, Field(description="cost above the best at which one is dropped")] = 10.0
         lost_iou: Annotated[float, Field(ge=0, le=1, description="an estimate that overlaps less is lost")] = 0.5
@@ -107,6 +121,7 @@ class HybridTracker(InstrumentTracker):
         self._evolution = published_settings(
             len(state), config.population, mean_rate=2.0, covariance_rate=4.0, elites=15
         )
+        self._jaws = JawJudge(scene.instruments, scene.views[0].camera)
         self._drawn = np.diag((self._scale / np.tile(DRAWN, scene.arms)) ** 2)
         self._pause = 0
         self._begun = False
@@ -133,7 +148,8 @@ class HybridTracker(InstrumentTracker):
             self._follow(hypothesis, observation, observation.start if k == 0 else None, seen)
         self._begun = True
         best = min(self._hypotheses, key=lambda h: h.cost)
-        if seen and config.samples and min(best.explained, best.explained_mask) < config.explained:
+        slipped = min(best.explained, best.explained_mask) < config.explained or best.missed_jaws > config.jaws
+        if seen and config.samples and slipped:
             if self._pause > 0:
                 self._pause -= 1
             elif not self._search(best, last, observation):
@@ -166,13 +182,17 @@ class HybridTracker(InstrumentTracker):
     def _take(self, hypothesis: Hypothesis, fit: Fit, observation: Observation) -> None:
         silhouette = self._evaluator.mask(fit.state)
         hypothesis.state, hypothesis.explained = fit.state, fit.explained
-        hypothesis.explained_mask = explained_edge(observation.mask, silhouette, EXPLAINED_PX)
+        missed = missed_edge(observation.mask, silhouette, EXPLAINED_PX, JAW_PX)
+        hypothesis.explained_mask = missed.explained
+        hypothesis.missed_jaws = self._jaws(fit.state, fit.missed_px, fit.length_px, missed)
         hypothesis.iou = float(self._objective.mismatch(fit.state[None])[1][0])
 
     def _frame_cost(self, hypothesis: Hypothesis) -> float:
         # A mask that is a pixel too large costs every hypothesis the same area, but leaves no edge unexplained.
         unexplained = 1.0 - (hypothesis.explained + hypothesis.explained_mask) / 2.0
-        return self.config.trust * float(np.log(unexplained + BEST_UNEXPLAINED))
+        whole = float(np.log(unexplained + BEST_UNEXPLAINED))
+        jaws = float(np.log(hypothesis.missed_jaws + BEST_JAWS))
+        return self.config.trust * whole + self.config.trust_jaws * jaws
 
     def _search(self, best: Hypothesis, last: FloatArray, observation: Observation) -> bool:
         """Draw, score and refine other states; the best of them becomes a hypothesis. Returns whether one did."""
@@ -184,6 +204,10 @@ class HybridTracker(InstrumentTracker):
             centres = [shift_to_mask(best.state, silhouette, observation.mask, camera), best.state]
         known = observation.joints is not None
         states, moves = propose(np.stack(centres), config.samples, scene.joint_limits, known, self._rng)
+        if not known:
+            swept = sweep_jaws(np.stack(centres), scene.joint_limits)
+            states = np.concatenate([states, swept])
+            moves = np.append(moves, np.full(len(swept), Move.SWEEP))
         losses = self._objective(states)[0]
         order = best_of_each(losses, moves, config.refined)
         if config.generations:
