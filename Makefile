@@ -12,7 +12,7 @@ PIP := $(BIN)/python -m pip install --disable-pip-version-check -q -c constraint
 # Two files of tests at a time. A test that fails alone is run without: .venv/bin/python -m pytest FILE
 PYTEST := python -m pytest -q -n 2 --dist loadfile --durations=15
 
-.PHONY: demo test quick lint types unit wheel-test extras-test lowest setup clean
+.PHONY: demo test quick lint types unit wheel-test extras-test table-setup lowest setup clean
 
 demo: $(SETUP)
 	$(BIN)/surgbench generate mini --out $(DEMO)/mini
@@ -54,6 +54,11 @@ wheel-test: $(SETUP)
 extras-test: $(EXTRAS)
 	$(BIN)/$(PYTEST) -m extras
 
+# What `surgbench reproduce table1` runs besides: TuRBO, figures, and an LLVM for Mitsuba's gradient. Without the last one
+# row is skipped, which the first line of its output says.
+table-setup: $(EXTRAS)
+	apt-get install -y libllvm19 || echo "no libllvm19: install an LLVM of 17 or later, or set DRJIT_LIBLLVM_PATH"
+
 # The lowest declared versions, and every Python that is found; takes long, and is no part of CI.
 lowest: $(SETUP)
 	$(BIN)/python tools/lowest.py
@@ -68,7 +73,7 @@ $(SETUP): pyproject.toml constraints.txt tools/system-libraries.sh
 
 $(EXTRAS): $(SETUP)
 	sh tools/system-libraries.sh meshes
-	PYTHONWARNINGS=ignore $(PIP) -e '.[dev,turbo,meshes,plots]'
+	PYTHONWARNINGS=ignore $(PIP) -e '.[dev,turbo,meshes,plots,onnx]'
 	touch $@
 
 clean:

@@ -22,6 +22,7 @@ import numpy as np
 from surgbench.dataset.open import open_as
 from surgbench.geometry import FloatArray
 from surgbench.keypoints.accuracy import pair_errors
+from surgbench.keypoints.found import BOTH
 from surgbench.records.reader import read_records
 from surgbench.registry import create, find
 from surgbench.state import JOINTS, twin
@@ -55,7 +56,8 @@ def keypoints(dataset: InstrumentDataset, name: str) -> None:
         source.reset(data.scene())
         for frame in range(data.frames):
             observation = data.observation(frame, data.sequence.mask(unit.kind, frame))
-            (pair,) = source.detect(observation, observation.views[0])
+            (tips,) = source.detect(observation, observation.views[0])
+            pair = tips if tips is not None and len(tips) == BOTH else None
             frames += 1
             pairs += pair is not None
             if np.isfinite(marks[frame]).all():

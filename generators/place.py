@@ -9,7 +9,7 @@ from surgbench.camera import Camera
 from surgbench.generators.presets import Workspace
 from surgbench.geometry import FloatArray, look_at_rotation
 from surgbench.instrument import Instrument
-from surgbench.state import ALPHA, ANGLES, BETA, GAMMA, JOINTS, POSITION, STATE_SIZE
+from surgbench.state import ALPHA, ANGLES, BETA, GAMMA, JOINTS, POSITION, STATE_SIZE, JointLimits
 from surgbench.tasks.instrument.format import Arm
 
 BoolArray = NDArray[np.bool_]
@@ -35,6 +35,9 @@ class Place:
         self.camera = camera
         self.instrument = instrument
         self.side = -1.0 if arm == "left" else 1.0
+        limits = instrument.generate_limits
+        asked = np.array(workspace.joints_rad or np.transpose([limits.lower_rad, limits.upper_rad]))
+        self._joints = JointLimits(limits.clip(asked[:, 0]), limits.clip(asked[:, 1]))
         first = instrument.spec.links[0].name
         self.shaft_m = -float(instrument.meshes[first].vertices_m[:, 2].min()) if first in instrument.meshes else np.inf
 
@@ -59,8 +62,7 @@ class Place:
         states[:, GAMMA] = np.arctan2(axis[0], axis[2])
         states[:, BETA] = rng.uniform(-np.pi, np.pi, count)
         states[:, POSITION] = ray / np.linalg.norm(ray, axis=1, keepdims=True) * distance[:, None]
-        limits = self.instrument.generate_limits
-        states[:, JOINTS] = rng.uniform(limits.lower_rad, limits.upper_rad, (count, 3))
+        states[:, JOINTS] = rng.uniform(self._joints.lower_rad, self._joints.upper_rad, (count, 3))
         return states
 
     def in_workspace(self, states: FloatArray, margin_m: float = 0.0, margin_rad: float = 0.0) -> BoolArray:

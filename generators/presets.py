@@ -10,13 +10,18 @@ from pydantic import Field, SerializerFunctionWrapHandler, field_validator, mode
 from surgbench.camera import Camera
 from surgbench.config import SUFFIXES, Finite, NotNegative, Positive, Section, locate, parse_model, read_yaml
 from surgbench.errors import ConfigError, unknown_name
-from surgbench.generators.sections import Auxiliary, Correlation, Fraction, Kinematics, Mismatch
+from surgbench.generators.sections import Absences, Auxiliary, Correlation, Fraction, Kinematics, Mismatch
 
 Range = tuple[Finite, Finite]
 
 
+def _less(content: dict[str, Any], **absent: Any) -> dict[str, Any]:
+    """A section's content without the keys that have such a value."""
+    return {key: value for key, value in content.items() if key not in absent or value != absent[key]}
+
+
 class WaypointInterval(Section):
-    """Frames between waypoints: the published 50, and half as many where the instruments move fast."""
+    """Frames between waypoints; half as many, unless told, where the instruments move fast."""
 
     nominal: Annotated[int, Field(ge=2)] = 50
     fast: Annotated[int, Field(ge=2)] = 25
@@ -54,28 +59,51 @@ class Motion(Section):
         waypoint_interval: Frames between waypoints.
         fast_share: Share of the pairs, the last ones, that move fast.
         max_step: Bounds of the steps between waypoints.
+        fast_max_step: The same in fast sequences, where it is another.
         ou_rho: Correlation of the Ornstein-Uhlenbeck perturbation from frame to frame.
         ou_sigma_angles_rad: Its stationary standard deviation for alpha, beta, gamma.
         ou_sigma_position_m: The same for x, y, z.
         ou_sigma_joints_rad: The same for q1, q2, q3.
-        lowpass_cutoff_hz: Cutoff of the second-order Butterworth filter run forwards and backwards.
+        smoothing: ``butterworth``: of second order, run forwards and backwards. ``one-euro``: the filter of Casiez et
+            al. (CHI 2012) at rest, which is exponential smoothing; it runs forwards.
+        lowpass_cutoff_hz: Cutoff of the smoothing.
+        absences: How the instruments leave the picture and come back; not at all unless told. Free motion only.
     """
 
     kind: Literal["free", "rcm"] = "free"
     waypoint_interval: WaypointInterval = WaypointInterval()
     fast_share: Fraction = 0.5
     max_step: MaxStep = MaxStep()
+    fast_max_step: MaxStep | None = None
     ou_rho: Correlation = 0.99
     ou_sigma_angles_rad: tuple[NotNegative, NotNegative, NotNegative] = (0.01, 0.03, 0.01)
     ou_sigma_position_m: NotNegative = 0.002
     ou_sigma_joints_rad: NotNegative = 0.02
+    smoothing: Literal["butterworth", "one-euro"] = "butterworth"
     lowpass_cutoff_hz: Positive = 3.0
+    absences: Absences | None = None
+
+    @model_validator(mode="after")
+    def _free(self) -> Motion:
+        if self.absences is not None and self.kind != "free":
+            raise ValueError("absences needs kind: free")
+        return self
+
+    @model_serializer(mode="wrap")
+    def _without_what_is_not_there(self, serialise: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        # So that the hash of a dataset that does without does not know of them.
+        return _less(serialise(self), fast_max_step=None, smoothing="butterworth", absences=None)
+
+    def longest_step(self, speed: str) -> MaxStep:
+        """Bounds of the steps between waypoints in sequences of this speed."""
+        return self.fast_max_step or self.max_step if speed == "fast" else self.max_step
 
 
 class Workspace(Section):
-    """Where waypoints may be. Joints are drawn from the instrument's own ``generate_rad``.
+    """Where waypoints may be.
 
     Attributes:
+        joints_rad: Ranges of q1, q2 and q3; the instrument's own ``generate_rad`` unless told.
         distance_m: From the camera to the wrist.
         elevation_rad: Angle between the shaft and the image plane, jaws pointing away from the camera.
         direction_rad: Where the left arm's jaws point in the image: 0 right, positive down. Mirrored for the right.
@@ -92,11 +120,18 @@ class Workspace(Section):
     tip_margin: Annotated[float, Field(ge=0, lt=0.5)] = 0.02
     waypoint_margin: Annotated[float, Field(ge=0, lt=0.5)] = 0.09
     clearance_m: NotNegative = 0.009
+    joints_rad: tuple[Range, Range, Range] | None = None
+
+    @model_serializer(mode="wrap")
+    def _without_what_is_not_there(self, serialise: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        return _less(serialise(self), joints_rad=None)
 
     @model_validator(mode="after")
     def _ordered(self) -> Workspace:
-        for name in ("distance_m", "elevation_rad", "direction_rad", "reach"):
-            low, high = getattr(self, name)
+        ranges = {name: getattr(self, name) for name in ("distance_m", "elevation_rad", "direction_rad", "reach")}
+        for place, joint in enumerate(self.joints_rad or ()):
+            ranges[f"joints_rad[{place}]"] = joint
+        for name, (low, high) in ranges.items():
             if not low < high:
                 raise ValueError(f"{name} must be [lower, upper] with lower < upper")
         if self.distance_m[0] <= 0:
@@ -217,7 +252,7 @@ PAPER_CAMERA = Camera(width=700, height=493, fx=905.955, fy=904.820, cx=294.280,
 
 
 class Preset(Section):
-    """A whole preset; the defaults are the paper's.
+    """A whole preset; the defaults are those of ``paper-wide``.
 
     Attributes:
         name: Becomes the dataset's name.
@@ -255,8 +290,7 @@ class Preset(Section):
 
     @model_serializer(mode="wrap")
     def _without_what_is_not_there(self, serialise: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        # So that the hash of a dataset without auxiliary views does not know of them.
-        return {key: value for key, value in serialise(self).items() if key != "auxiliary" or value is not None}
+        return _less(serialise(self), auxiliary=None)
 
     @model_validator(mode="after")
     def _possible(self) -> Preset:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field, field_validator
+from pydantic import Field, field_validator, model_validator
 
 from surgbench.camera import Camera
 from surgbench.config import Finite, NotNegative, Positive, Section
@@ -48,6 +48,33 @@ class Kinematics(Section):
     stretch_m: NotNegative = 0.0005
     noise_rad: NotNegative = 0.0002
     noise_m: NotNegative = 0.00005
+
+
+Frames = Annotated[int, Field(ge=1)]
+
+
+class Absences(Section):
+    """How an instrument is drawn back along its shaft until nothing of it shows, and put in again.
+
+    Each is ``[fewest, most]`` frames, drawn evenly and anew every time, for each arm on its own.
+
+    Attributes:
+        every_frames: In its place, before the first absence and between two.
+        out_frames: Drawn back all the way, without the ways there and back, whose last frames show nothing either.
+        travel_frames: Each way.
+    """
+
+    every_frames: tuple[Frames, Frames] = (40, 100)
+    out_frames: tuple[Frames, Frames] = (2, 36)
+    travel_frames: tuple[Frames, Frames] = (20, 40)
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Absences:
+        for name in type(self).model_fields:
+            low, high = getattr(self, name)
+            if low > high:
+                raise ValueError(f"{name} must be [fewest, most] with fewest <= most")
+        return self
 
 
 # The left one of AutoCam's stereo pair at the size at which it is used (arXiv 2505.10398, published calibration). Masks

@@ -13,9 +13,10 @@ from scipy.interpolate import CubicHermiteSpline
 from scipy.signal import butter, lfilter, sosfiltfilt
 
 from surgbench.errors import ConfigError
+from surgbench.generators.absences import with_absences
 from surgbench.generators.coordinates import TOOL_JOINTS, ArmJoints, Coordinates, FreePose, set_up_arm
 from surgbench.generators.place import Place, clearance_m
-from surgbench.generators.presets import Preset
+from surgbench.generators.presets import Motion, Preset
 from surgbench.geometry import FloatArray, wrap_angle
 from surgbench.instrument import Instrument
 from surgbench.instrument.arm import ARM_JOINTS, Manipulator
@@ -71,7 +72,8 @@ def make_motion(
 
     In every frame the joints lie within the instrument's generating limits, both tips and the wrist of each arm in
     the image, each shaft enters from its own side, and the arms' centre lines keep their clearance. Of robot arms, the
-    joints are within the arm's limits and the wrist in the workspace too.
+    joints are within the arm's limits and the wrist in the workspace too. Where the preset has absences, all this is so
+    before the instruments are drawn back.
 
     Args:
         preset: Motion, workspace, camera and frame rate.
@@ -86,11 +88,11 @@ def make_motion(
     places = [Place(arm, preset.workspace, preset.camera, instrument) for arm in ARMS]
     interval = getattr(preset.motion.waypoint_interval, speed)
     for _ in range(PATHS):
-        left = _coordinates(places[0], preset, rng)
+        left = _coordinates(places[0], preset, speed, rng)
         left_path = left and _path(left, preset, interval, frames, rng, other=None)
         if left is None or left_path is None:
             continue
-        right = _coordinates(places[1], preset, rng)
+        right = _coordinates(places[1], preset, speed, rng)
         right_path = right and _path(right, preset, interval, frames, rng, other=left.states(_sampled(left_path)))
         if right is None or right_path is None:
             continue
@@ -103,6 +105,11 @@ def make_motion(
             if fits and apart.min() >= preset.workspace.clearance_m:
                 states[..., BETA] = wrap_angle(states[..., BETA])
                 states[..., GAMMA] = wrap_angle(states[..., GAMMA])
+                if preset.motion.absences is not None:
+                    drawn_back = with_absences(preset.motion.absences, places, states, rng)
+                    if drawn_back is None:
+                        continue
+                    states = drawn_back
                 return PairMotion(states, (_moved(left, values[:, 0]), _moved(right, values[:, 1])))
     raise ConfigError(
         f"preset '{preset.name}': no feasible {speed} trajectory of {frames} frames was found; "
@@ -110,8 +117,9 @@ def make_motion(
     )
 
 
-def _coordinates(place: Place, preset: Preset, rng: np.random.Generator) -> FreePose | ArmJoints | None:
-    return FreePose(place, preset.motion) if preset.motion.kind == "free" else set_up_arm(place, preset.motion, rng)
+def _coordinates(place: Place, preset: Preset, speed: str, rng: np.random.Generator) -> FreePose | ArmJoints | None:
+    motion = preset.motion
+    return FreePose(place, motion, speed) if motion.kind == "free" else set_up_arm(place, motion, speed, rng)
 
 
 def _moved(coordinates: FreePose | ArmJoints, values: FloatArray) -> ArmMotion | None:
@@ -191,14 +199,28 @@ def _interpolate(path: FloatArray, interval: int, frames: int) -> FloatArray:
 def _perturb(
     smooth: FloatArray, sigma: FloatArray, preset: Preset, instrument: Instrument, rng: np.random.Generator
 ) -> FloatArray:
-    """Add Ornstein-Uhlenbeck noise to ``(frames, 2, n)``, low-pass filter it, stop the tools at their limits."""
+    """Add Ornstein-Uhlenbeck noise to ``(frames, 2, n)``, smooth it, stop the tools at their limits."""
     motion = preset.motion
     noisy = smooth + sigma * ornstein_uhlenbeck(smooth.shape, motion.ou_rho, rng)
-    sections = butter(2, motion.lowpass_cutoff_hz, fs=1.0 / preset.dt_s, output="sos")
-    padding = min(15, len(smooth) - 1)
-    filtered: FloatArray = sosfiltfilt(sections, noisy, axis=0, padlen=padding)
+    filtered = low_pass(noisy, motion, 1.0 / preset.dt_s)
     filtered[..., TOOL_JOINTS] = instrument.generate_limits.clip(filtered[..., TOOL_JOINTS])
     return filtered
+
+
+def low_pass(values: FloatArray, motion: Motion, rate_hz: float) -> FloatArray:
+    """Values ``(T, ...)``, so many a second, through the smoothing of ``motion``.
+
+    Exponential smoothing begins at the first value: ``y += a (x - y)`` with ``a = w / (1 + w)``,
+    ``w = 2 pi cutoff / rate``.
+    """
+    if motion.smoothing == "butterworth":
+        sections = butter(2, motion.lowpass_cutoff_hz, fs=rate_hz, output="sos")
+        both_ways: FloatArray = sosfiltfilt(sections, values, axis=0, padlen=min(15, len(values) - 1))
+        return both_ways
+    step = 2.0 * np.pi * motion.lowpass_cutoff_hz / rate_hz
+    gain = step / (1.0 + step)
+    smoothed: FloatArray = lfilter([gain], [1.0, gain - 1.0], values, axis=0, zi=(1.0 - gain) * values[:1])[0]
+    return smoothed
 
 
 def ornstein_uhlenbeck(shape: tuple[int, ...], rho: float, rng: np.random.Generator) -> FloatArray:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,7 @@ from surgbench.camera import Camera
 from surgbench.generation import GenerationPlan, GenerationRequest
 from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument
+from surgbench.keypoints.found import FoundTips, Tips
 from surgbench.state import JointLimits
 
 Mask = NDArray[np.bool_]
@@ -28,7 +29,7 @@ def no_image() -> None:
     """The image of a view that has none."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, init=False)
 class View:
     """What one camera saw in one frame.
 
@@ -37,28 +38,69 @@ class View:
         T_view_cam: ``(4, 4)`` from the reference camera's frame (in which states are given) to this camera's.
         mask: ``(height, width)`` bool: the instruments.
         instance_masks: One mask per arm where the recording tells the arms apart, else ``None``.
-        keypoints: Per arm ``(2, 2)`` tip pixels in no particular order, or ``None`` where not both were seen.
         image: Call it for the ``(height, width, 3)`` uint8 RGB image; ``None`` where there are no images.
+        found: What ``keypoints`` and ``tips`` are made from when one of them is first looked at: who looks at neither
+            does not wait for the keypoint source.
+
+    Args:
+        keypoints: Per arm ``(2, 2)`` tip pixels in no particular order, ``(1, 2)`` where one is seen, or ``None``; also
+            as a keyword of ``dataclasses.replace``.
 
     Example:
-        The reference camera, an empty mask, and the two tips of one arm:
+        The reference camera, an empty mask, both tips of one arm and one of another:
 
         >>> import numpy as np
         >>> from surgbench.camera import Camera
         >>> from surgbench.contract import View
         >>> camera = Camera(width=160, height=120, fx=200, fy=200, cx=80, cy=60)
-        >>> tips = np.array([[80.0, 60.0], [84.0, 61.0]])  # pixels (u, v)
-        >>> view = View(camera, np.eye(4), np.zeros((120, 160), dtype=bool), keypoints=(tips,))
+        >>> both = np.array([[80.0, 60.0], [84.0, 61.0]])  # pixels (u, v)
+        >>> one = np.array([[20.0, 61.0]])
+        >>> view = View(camera, np.eye(4), np.zeros((120, 160), dtype=bool), keypoints=(both, one))
         >>> view.image() is None, view.instance_masks is None
+        (True, True)
+        >>> [tips.shape for tips in view.tips]
+        [(2, 2), (1, 2)]
+        >>> view.keypoints[0] is both, view.keypoints[1] is None
         (True, True)
     """
 
     camera: Camera
     T_view_cam: FloatArray
     mask: Mask
-    instance_masks: tuple[Mask, ...] | None = None
-    keypoints: tuple[FloatArray | None, ...] = (None,)
-    image: Callable[[], NDArray[np.uint8] | None] = no_image
+    instance_masks: tuple[Mask, ...] | None
+    image: Callable[[], NDArray[np.uint8] | None]
+    found: FoundTips = field(repr=False)
+
+    def __init__(
+        self,
+        camera: Camera,
+        T_view_cam: FloatArray,
+        mask: Mask,
+        instance_masks: tuple[Mask, ...] | None = None,
+        keypoints: Tips | None = None,
+        image: Callable[[], NDArray[np.uint8] | None] = no_image,
+        *,
+        found: FoundTips | None = None,
+    ) -> None:
+        if keypoints is not None or found is None:
+            found = FoundTips((None,) if keypoints is None else keypoints)
+        values = {"camera": camera, "T_view_cam": T_view_cam, "mask": mask, "instance_masks": instance_masks}
+        self.__dict__.update({**values, "image": image, "found": found})
+
+    if TYPE_CHECKING:
+        # A field for `replace`, which would look at it otherwise.
+        keypoints: Tips
+    else:
+
+        @property
+        def keypoints(self) -> Tips:
+            """Per arm both tips, ``(2, 2)`` pixels in no particular order, or ``None`` where not both were seen."""
+            return self.found.pairs
+
+    @property
+    def tips(self) -> Tips:
+        """Per arm all tips that were seen, ``(2, 2)`` or ``(1, 2)`` pixels, or ``None``."""
+        return self.found.every
 
     def __getstate__(self) -> dict[str, Any]:
         # As bits a mask fits the buffer of a pipe, so that it reaches a tracker's process in one go.
@@ -166,6 +208,8 @@ class Estimate:
         state: ``(9 * arms,)``.
         confidence: 0 to 1.
         lost: The tracker itself thinks it has lost the instrument.
+        standard_deviations: ``(9 * arms,)`` how far off the tracker expects each component of the state to be (rad, m,
+            rad), as of a Gaussian; all greater than 0. ``None`` where it does not know.
 
     Example:
         13 cm before the camera, the shaft along its axis, joints straight and jaws closed; not to be trusted:
@@ -178,6 +222,7 @@ class Estimate:
     state: FloatArray
     confidence: float = 1.0
     lost: bool = False
+    standard_deviations: FloatArray | None = None
 
 
 class Plugin:
@@ -360,7 +405,7 @@ class Initialiser(Protocol):
 
 @runtime_checkable
 class StateFilter(Protocol):
-    """Predicts where the next frame's search begins and smooths nothing that is reported.
+    """Says where the next frame's search begins; what it makes of an estimate is reported where a row asks for it.
 
     Example:
         The change from the last frame to this one, once more:
@@ -425,6 +470,10 @@ class OracleFilter(StateFilter, Protocol):
 class KeypointSource(Protocol):
     """Finds the two tips of each arm in a view.
 
+    It is asked when a tracker first looks at a view's tips, and so perhaps not in every frame: what it finds in a frame
+    must not depend on whether it was asked before. One that follows tips from frame to frame says
+    ``every_frame = True``, and is asked in all frames in turn, whether anyone looks or not.
+
     Example:
         It never finds any:
 
@@ -448,5 +497,10 @@ class KeypointSource(Protocol):
         ...
 
     def detect(self, observation: Observation, view: View) -> tuple[FloatArray | None, ...]:
-        """Per arm ``(2, 2)`` pixels, or ``None`` where not exactly two tips were found."""
+        """Per arm ``(2, 2)`` pixels, ``(1, 2)`` where one tip was found, ``None`` where none was.
+
+        Args:
+            observation: The frame; its views have the dataset's own tips.
+            view: Which of them.
+        """
         ...

@@ -39,5 +39,9 @@ def unknown_name(kind: str, name: str, valid: Iterable[str]) -> str:
     return f"unknown {kind} '{name}'{hint} (valid: {', '.join(names) or 'none'})"
 
 
+class PluginError(SurgbenchError):
+    """A plug-in raised while another one was at work; one line that names it."""
+
+
 class InvalidAnswerError(Exception):
     """A plug-in returned something that is no state."""

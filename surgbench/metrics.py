@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from surgbench.geometry import FloatArray, look_at_rotation, rotation_angle, wrap_angle
-from surgbench.state import ANGLES, BETA, JOINTS, POSITION, twin
+from surgbench.state import ANGLES, BETA, JOINTS, POSITION, STATE_SIZE, twin
 
 if TYPE_CHECKING:
     from surgbench.camera import Camera
@@ -26,6 +26,24 @@ POSE_ERRORS = (
     "q3_error_rad",
     "keypoint_error_px",
 )
+
+# Components of the state whose intervals are looked at together, and how often their intervals hold the truth.
+INTERVAL_COVERAGES = {
+    "interval_coverage": slice(0, STATE_SIZE),
+    "interval_coverage_rotation": ANGLES,
+    "interval_coverage_translation": POSITION,
+    "interval_coverage_q1": slice(6, 7),
+    "interval_coverage_q2": slice(7, 8),
+    "interval_coverage_q3": slice(8, 9),
+}
+# A Gaussian lies within so many standard deviations of its mean with a probability of 0.9.
+INTERVAL_SIGMAS = 1.6449
+
+# An arm of which less than this share of the picture's pixels shows is out of view: 345 of 700 x 493, where an
+# instrument in its place has 6000 and more.
+OUT_OF_VIEW_SHARE = 0.001
+# A tracker is right again where the tips are no further off than this.
+RECOVERED_M = 0.005
 
 # Turning beta by pi and back rounds it by up to a few units in the last place of 2 pi; that is no error.
 BETA_ROUNDING_RAD = 16 * np.finfo(np.float64).eps
@@ -180,6 +198,111 @@ def mask_error(area_estimate: ArrayLike, area_reference: ArrayLike, overlap: Arr
     return error
 
 
+def interval_coverages(
+    estimate: FloatArray, standard_deviations: FloatArray, truth: FloatArray
+) -> dict[str, FloatArray]:
+    """Of each frame, the share of components whose stated central 90 % interval holds the truth.
+
+    After :func:`choose_twin`, whose standard deviations are those of the state itself; angles by their wrapped error.
+
+    Args:
+        estimate: ``(..., 9)`` states of one arm.
+        standard_deviations: Same shape, or ``(9,)`` for all; rad and m, above 0; NaN where a frame has none.
+        truth: As those.
+
+    Returns:
+        The names of ``INTERVAL_COVERAGES`` to ``(...)`` shares, 0 to 1; NaN where a frame has no standard deviations.
+
+    Example:
+        1 mm is expected; the wrist is off by 1 mm in x, by 2 mm in y and not at all in z.
+
+        >>> import numpy as np
+        >>> from surgbench.metrics import interval_coverages
+        >>> truth = np.array([0.3, 0.4, 0.8, 0.0, 0.0, 0.13, 0.2, -0.1, 0.3])
+        >>> estimate = truth + [0, 0, 0, 0.001, 0.002, 0, 0, 0, 0]
+        >>> shares = interval_coverages(estimate, np.full(9, 0.001), truth)
+        >>> float(shares["interval_coverage_translation"].round(3)), float(shares["interval_coverage_q1"])
+        (0.667, 1.0)
+    """
+    truth = np.asarray(truth, dtype=np.float64)
+    errors = choose_twin(estimate, truth) - truth
+    errors[..., ANGLES] = wrap_angle(errors[..., ANGLES])
+    inside = np.abs(errors) <= INTERVAL_SIGMAS * np.asarray(standard_deviations)
+    inside = np.where(np.isnan(standard_deviations), np.nan, inside)
+    return {name: inside[..., group].mean(axis=-1) for name, group in INTERVAL_COVERAGES.items()}
+
+
+def lost_precision(lost: ArrayLike, out_of_view: ArrayLike) -> FloatArray:
+    """Of the frames of which a tracker says that it is lost: 1 where an instrument is out of view, else 0.
+
+    Their mean is the precision of saying so.
+
+    Args:
+        lost: ``(T,)`` bool.
+        out_of_view: ``(T,)`` bool.
+
+    Returns:
+        ``(T,)``; NaN in all other frames, and in all where no instrument is ever out of view.
+    """
+    lost, out_of_view = np.asarray(lost, dtype=bool), np.asarray(out_of_view, dtype=bool)
+    return np.where(lost & out_of_view.any(), out_of_view.astype(np.float64), np.nan)
+
+
+def lost_recall(lost: ArrayLike, out_of_view: ArrayLike) -> FloatArray:
+    """Of the frames in which an instrument is out of view: 1 where the tracker says that it is lost, else 0.
+
+    Their mean is the recall.
+
+    Args:
+        lost: ``(T,)`` bool.
+        out_of_view: ``(T,)`` bool.
+
+    Returns:
+        ``(T,)``; NaN in all other frames.
+
+    Example:
+        Two frames out of view, of which the tracker notices the second, and goes on for one too many:
+
+        >>> import numpy as np
+        >>> from surgbench.metrics import lost_precision, lost_recall
+        >>> out_of_view, lost = [False, True, True, False], [False, False, True, True]
+        >>> lost_recall(lost, out_of_view), lost_precision(lost, out_of_view)
+        (array([nan,  0.,  1., nan]), array([nan, nan,  1.,  0.]))
+    """
+    lost, out_of_view = np.asarray(lost, dtype=bool), np.asarray(out_of_view, dtype=bool)
+    return np.where(out_of_view, lost.astype(np.float64), np.nan)
+
+
+def frames_to_recover(tip_errors: FloatArray, out_of_view: ArrayLike) -> float:
+    """Median over an arm's returns into view: frames from the first in view until the tips are right again.
+
+    That is the first frame whose tip error is at most ``RECOVERED_M``. A return after which none is counts as all the
+    frames until the arm is out of view again or the sequence ends: a lower bound.
+
+    Args:
+        tip_errors: ``(T,)`` metres; frames out of view are not looked at.
+        out_of_view: ``(T,)`` bool.
+
+    Returns:
+        Frames, 0 for right at once; NaN where the arm never returns.
+
+    Example:
+        Back in the third frame, right in the fifth:
+
+        >>> from surgbench.metrics import frames_to_recover
+        >>> frames_to_recover([0.001, 0.1, 0.03, 0.01, 0.002], [False, True, False, False, False])
+        2.0
+    """
+    errors, away = np.asarray(tip_errors, dtype=np.float64), np.asarray(out_of_view, dtype=bool)
+    taken = []
+    for first in np.flatnonzero(away[:-1] & ~away[1:]) + 1:
+        later = np.flatnonzero(away[first:])
+        stay = errors[first : first + later[0]] if later.size else errors[first:]
+        right = np.flatnonzero(stay <= RECOVERED_M)
+        taken.append(right[0] if right.size else len(stay))
+    return float(np.median(taken)) if taken else float("nan")
+
+
 def jitter(tips: FloatArray, dt_s: float) -> float:
     """How much the estimate trembles: root mean square acceleration of the point midway between the tips.
 
@@ -188,11 +311,11 @@ def jitter(tips: FloatArray, dt_s: float) -> float:
     is the same for a state and its twin.
 
     Args:
-        tips: ``(T, 2, 3)`` tips in the camera frame, metres, of consecutive frames.
+        tips: ``(T, 2, 3)`` tips in the camera frame, metres, of consecutive frames; NaN where a frame does not count.
         dt_s: Seconds between frames.
 
     Returns:
-        m/s²; NaN for fewer than three frames.
+        m/s²; NaN where no three frames in a row count.
 
     Example:
         To and fro by 1 mm every 0.1 s: the velocity changes by 2 cm/s from frame to frame.
@@ -208,7 +331,9 @@ def jitter(tips: FloatArray, dt_s: float) -> float:
     if len(midpoint) < 3:
         return float("nan")
     acceleration = np.diff(midpoint, n=2, axis=0) / dt_s**2
-    return float(np.sqrt((acceleration**2).sum(axis=-1).mean()))
+    squared = (acceleration**2).sum(axis=-1)
+    squared = squared[~np.isnan(squared)]
+    return float(np.sqrt(squared.mean())) if squared.size else float("nan")
 
 
 def lag(positions: FloatArray, true_positions: FloatArray, dt_s: float) -> float:
@@ -219,7 +344,7 @@ def lag(positions: FloatArray, true_positions: FloatArray, dt_s: float) -> float
     have nothing to do with the motion cancel; negative means ahead.
 
     Args:
-        positions: ``(T, 3)`` estimates or search starts of consecutive frames, metres.
+        positions: ``(T, 3)`` estimates or search starts of consecutive frames, metres; NaN where one does not count.
         true_positions: Same shape.
         dt_s: Seconds between frames.
 
@@ -237,7 +362,10 @@ def lag(positions: FloatArray, true_positions: FloatArray, dt_s: float) -> float
     """
     estimate, true = np.asarray(positions, dtype=np.float64), np.asarray(true_positions, dtype=np.float64)
     velocity = (true[2:] - true[:-2]) / (2 * dt_s)
+    error = (estimate - true)[1:-1]
+    counts = ~np.isnan(error).any(axis=-1)
+    error, velocity = error[counts], velocity[counts]
     moved = float((velocity**2).sum())
     if moved == 0.0:
         return float("nan")
-    return -float(((estimate - true)[1:-1] * velocity).sum()) / moved
+    return -float((error * velocity).sum()) / moved

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import functools
 import operator
+from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,7 @@ from surgbench.camera.change_of_view import ChangeOfView
 from surgbench.config import Section
 from surgbench.contract import Observation, Scene, View
 from surgbench.geometry import FloatArray
+from surgbench.keypoints.found import Tips
 from surgbench.silhouette import KeypointProjector, Reference, SilhouetteEvaluator, iou
 
 if TYPE_CHECKING:
@@ -24,88 +26,138 @@ if TYPE_CHECKING:
 Weight = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
 
-class LossWeights(Section):
-    """Weights of the loss, relative to the number N of the image's pixels.
+# Pixels of the pictures that the released code of Hu et al. 2026 renders and measures in.
+RELEASED_PIXELS = 350 * 246
 
-    So they mean the same at any resolution; the defaults are those of the paper's released code, whose loss
-    is the mean, not the sum, over pixels.
+
+class LossWeights(Section):
+    """Weights of the loss, which mean the same at any resolution.
+
+    The defaults are those of the paper's released code. That takes means over pixels, ``6 MSE + 6e-6 |difference of
+    areas| + 3e-3 L_kpts`` at 350 x 246; here these are sums.
 
     Attributes:
-        appearance: lambda_app / N.
-        keypoints: lambda_kpts / N, per pixel of distance.
+        appearance: lambda_app, pixels of mismatch that a pixel of difference in area is worth.
+        keypoints: lambda_kpts / N of N pixels, per pixel of distance.
         keypoint_tolerance_px: tau, distance that costs nothing.
+        keypoint_form: See :class:`KeypointTerm`.
+        single_tips: Whether a tip counts where the other was not found; not as published.
 
     Example:
         >>> from surgbench.objective import LossWeights
-        >>> LossWeights(keypoints=0.0)  # the masks alone
-        LossWeights(appearance=1e-06, keypoints=0.0, keypoint_tolerance_px=10.0)
+        >>> masks_alone = LossWeights(keypoints=0.0)
+        >>> masks_alone.appearance, masks_alone.keypoint_tolerance_px
+        (0.0861, 10.0)
     """
 
-    appearance: Annotated[Weight, Field(description="lambda_app of eq. 6, per pixel of the image")] = 1e-6
+    appearance: Annotated[Weight, Field(description="lambda_app of eq. 6")] = 0.0861
     keypoints: Annotated[Weight, Field(description="lambda_kpts of eq. 5, per pixel of the image")] = 5e-4
     keypoint_tolerance_px: Annotated[Weight, Field(description="tau of eq. 8")] = 10.0
+    keypoint_form: Annotated[
+        Literal["printed", "released"],
+        Field(description="eq. 8, or what the paper's code has: L1, tau once for both tips, pixels of 350 x 246"),
+    ] = "printed"
+    single_tips: Annotated[bool, Field(description="a tip counts where the other was not found, too")] = False
 
 
-def keypoint_loss(observed_px: FloatArray, projected_px: FloatArray, tolerance_px: float) -> FloatArray:
-    """Distance of projected tips from observed ones, eq. 8.
+@dataclass(frozen=True)
+class KeypointTerm:
+    """Distance of projected tips from observed ones: eq. 8, or what the paper's released code computes in its place.
 
-    Args:
-        observed_px: ``(2, 2)`` in no particular order.
-        projected_px: ``(..., 2, 2)``; NaN for tips behind the camera.
-        tolerance_px: tau; each distance counts only by what it exceeds tau.
+    ``printed`` is eq. 8: Euclidean distances, each of which counts by what it exceeds tau. ``released`` takes sums of
+    the absolute differences in u and v instead, and tau off the sum over both tips; the centre has a tau of its own in
+    both.
 
-    Returns:
-        ``(...)`` pixels; infinite where a tip lies behind the camera.
+    Attributes:
+        tolerance_px: tau.
+        form: ``printed`` or ``released``.
 
     Example:
         In place, in place but the other way round, and 15 px too low, which is 5 px too much for both tips and for
-        their centre:
+        their centre; in the released form 20 for both together, and 5:
 
         >>> import numpy as np
-        >>> from surgbench.objective import keypoint_loss
+        >>> from surgbench.objective import KeypointTerm
         >>> observed = np.array([[80.0, 60.0], [100.0, 60.0]])
-        >>> keypoint_loss(observed, np.stack([observed, observed[::-1], observed + [0, 15]]), tolerance_px=10.0)
+        >>> KeypointTerm(10.0).loss(observed, np.stack([observed, observed[::-1], observed + [0, 15]]))
         array([ 0.,  0., 15.])
+        >>> KeypointTerm(10.0, "released").loss(observed, np.stack([observed, observed[::-1], observed + [0, 15]]))
+        array([ 0.,  0., 25.])
     """
 
-    def excess(difference: FloatArray) -> FloatArray:
-        distance = np.linalg.norm(difference, axis=-1)
-        return np.asarray(np.maximum(distance - tolerance_px, 0.0))
+    tolerance_px: float
+    form: Literal["printed", "released"] = "printed"
 
-    straight = excess(projected_px - observed_px).sum(axis=-1)
-    swapped = excess(projected_px - observed_px[::-1]).sum(axis=-1)
-    centre = excess(projected_px.mean(axis=-2) - observed_px.mean(axis=-2))
-    loss = np.minimum(straight, swapped) + centre
-    return np.where(np.isnan(loss), np.inf, loss)
+    def loss(self, observed_px: FloatArray, projected_px: FloatArray) -> FloatArray:
+        """The distance.
 
+        Args:
+            observed_px: ``(2, 2)`` in no particular order; or ``(1, 2)``, which may be either tip: then what the nearer
+                one exceeds tau by counts alone.
+            projected_px: ``(..., 2, 2)``; NaN for tips behind the camera.
 
-def keypoint_slope(observed_px: FloatArray, projected_px: FloatArray, tolerance_px: float) -> FloatArray:
-    """Derivative of :func:`keypoint_loss` with respect to the projected tips.
+        Returns:
+            ``(...)`` pixels; infinite where a tip lies behind the camera.
+        """
+        if len(observed_px) == 1:
+            single = self._excess(self._length(projected_px - observed_px)).min(axis=-1)  # NaN if one is
+            return np.where(np.isnan(single), np.inf, single)
+        straight = self._both(projected_px - observed_px)
+        swapped = self._both(projected_px - observed_px[::-1])
+        centre = self._excess(self._length(projected_px.mean(axis=-2) - observed_px.mean(axis=-2)))
+        loss = np.minimum(straight, swapped) + centre
+        return np.where(np.isnan(loss), np.inf, loss)
 
-    Args:
-        observed_px: ``(2, 2)`` in no particular order.
-        projected_px: ``(..., 2, 2)``; NaN for tips behind the camera.
-        tolerance_px: tau.
+    def slope(self, observed_px: FloatArray, projected_px: FloatArray) -> FloatArray:
+        """Derivative of :meth:`loss` with respect to the projected tips.
 
-    Returns:
-        ``(..., 2, 2)``; zero for tips within the tolerance or behind the camera.
-    """
+        Args:
+            observed_px: ``(2, 2)`` in no particular order, or ``(1, 2)``.
+            projected_px: ``(..., 2, 2)``; NaN for tips behind the camera.
 
-    def direction(difference: FloatArray) -> FloatArray:
-        distance = np.linalg.norm(difference, axis=-1, keepdims=True)
-        beyond = distance > tolerance_px  # false for NaN
-        return np.where(beyond, difference / np.where(beyond, distance, 1.0), 0.0)
+        Returns:
+            ``(..., 2, 2)``; zero for tips within the tolerance or behind the camera.
+        """
+        if len(observed_px) == 1:
+            single = projected_px - observed_px
+            length = self._length(single)
+            # With a tip behind the camera, that one (NaN), whose slope is zero.
+            counts = (length.argmin(axis=-1)[..., None] == np.arange(2)) & (length > self.tolerance_px)
+            return np.where(counts[..., None], self._direction(single), 0.0)
+        straight, swapped = projected_px - observed_px, projected_px - observed_px[::-1]
+        nearer = (self._both(straight) <= self._both(swapped))[..., None, None]
+        tips = np.where(nearer, straight, swapped)
+        length = self._length(tips)[..., None]
+        if self.form == "released":
+            length = length.sum(axis=-2, keepdims=True)
+        centre = projected_px.mean(axis=-2, keepdims=True) - observed_px.mean(axis=-2)
+        # Half, for each of the two tips moves their centre by half as much. Comparisons are false for NaN.
+        return np.asarray(
+            np.where(length > self.tolerance_px, self._direction(tips), 0.0)
+            + np.where(self._length(centre)[..., None] > self.tolerance_px, self._direction(centre), 0.0) / 2
+        )
 
-    straight, swapped = projected_px - observed_px, projected_px - observed_px[::-1]
+    def _length(self, difference: FloatArray) -> FloatArray:
+        order = 2 if self.form == "printed" else 1
+        length: FloatArray = np.linalg.norm(difference, ord=order, axis=-1)
+        return length
 
-    def total(difference: FloatArray) -> FloatArray:
-        excess = np.linalg.norm(difference, axis=-1) - tolerance_px
-        return np.asarray(np.maximum(excess, 0.0).sum(axis=-1))
+    def _direction(self, difference: FloatArray) -> FloatArray:
+        """Derivative of the length."""
+        if self.form == "released":
+            return np.sign(difference)
+        length = np.linalg.norm(difference, axis=-1, keepdims=True)
+        return np.asarray(difference / np.where(length > 0, length, 1.0))
 
-    nearer = (total(straight) <= total(swapped))[..., None, None]
-    centre = projected_px.mean(axis=-2, keepdims=True) - observed_px.mean(axis=-2)
-    # Half, for each of the two tips moves their centre by half as much.
-    return np.asarray(direction(np.where(nearer, straight, swapped)) + direction(centre) / 2)
+    def _excess(self, length: FloatArray) -> FloatArray:
+        return np.asarray(np.maximum(length - self.tolerance_px, 0.0))
+
+    def _both(self, difference: FloatArray) -> FloatArray:
+        """Of both tips ``(..., 2, 2)`` together."""
+        length = self._length(difference)
+        if self.form == "released":
+            return self._excess(length.sum(axis=-1))
+        return np.asarray(self._excess(length).sum(axis=-1))
 
 
 def _evaluator(scene: Scene, camera: Camera) -> SilhouetteEvaluator | TorchSilhouetteEvaluator:
@@ -135,17 +187,21 @@ class ViewLoss:
         self._instruments = scene.instruments
         self._projector = KeypointProjector(scene.instruments, camera)
         pixels = camera.width * camera.height
-        self.appearance = weights.appearance * pixels
-        self._keypoints = weights.keypoints * pixels
-        self._tolerance_px = weights.keypoint_tolerance_px
+        self.appearance = weights.appearance
+        released = weights.keypoint_form == "released"
+        # Pixels of the image that a pixel of distance is: the released code measures in its own, smaller pictures.
+        pixel = float(np.sqrt(pixels / RELEASED_PIXELS)) if released else 1.0
+        self._keypoints = weights.keypoints * pixels / pixel
+        self._single_tips = weights.single_tips
+        self._term = KeypointTerm(weights.keypoint_tolerance_px * pixel, weights.keypoint_form)
         self._reference: Reference | None = None
-        self._observed: tuple[FloatArray | None, ...] = ()
+        self._view: View | None = None
         self.change = ChangeOfView(np.eye(4))
 
     def observe(self, view: View) -> None:
         """Take the frame that the next calls score against."""
         self._reference = Reference(view.mask)
-        self._observed = view.keypoints
+        self._view = view
         self.change = ChangeOfView(view.T_view_cam)
 
     @property
@@ -160,9 +216,16 @@ class ViewLoss:
         return self._reference
 
     @property
+    def _observed(self) -> Tips:
+        """The tips that count. Looking at them may ask a detector, which terms without tips need not wait for."""
+        if self._view is None or self._keypoints == 0:
+            return ()
+        return self._view.tips if self._single_tips else self._view.keypoints
+
+    @property
     def has_keypoints(self) -> bool:
         """Whether keypoints were seen, and weigh anything."""
-        return self._keypoints > 0 and any(observed is not None for observed in self._observed)
+        return any(observed is not None for observed in self._observed)
 
     def mismatch(self, states: FloatArray) -> tuple[FloatArray, NDArray[np.int64], NDArray[np.int64]]:
         """Eq. 6 of ``(n, 9 * arms)`` states, pixels; and how many pixels they cover, and cover of the mask."""
@@ -176,7 +239,7 @@ class ViewLoss:
         """Eq. 8 with its weight, ``(n,)`` pixels for each arm whose tips were seen."""
         tips = self._projector.project(self.change.states(states))
         return [
-            self._keypoints * keypoint_loss(observed, tips[:, arm], self._tolerance_px)
+            self._keypoints * self._term.loss(observed, tips[:, arm])
             for arm, observed in enumerate(self._observed)
             if observed is not None
         ]
@@ -188,7 +251,7 @@ class ViewLoss:
         forces = np.zeros_like(tips)
         for arm, observed in enumerate(self._observed):
             if observed is not None:
-                forces[:, arm] = keypoint_slope(observed, tips[:, arm], self._tolerance_px)
+                forces[:, arm] = self._term.slope(observed, tips[:, arm])
         return self.change.pull_back(states, self._keypoints * self._projector.pull_back(own, forces))
 
     @cached_property

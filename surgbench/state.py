@@ -21,7 +21,8 @@ POSITION = slice(3, 6)
 JOINTS = slice(6, 9)
 
 # Natural step of each component: 0.01 rad for alpha and gamma, 0.1 rad for beta, 1 mm, 0.1 rad for the wrist joints
-# and for the opening between the jaws, half of which is q3 (the paper's released settings; see docs/conventions.md).
+# and for the opening between the jaws, half of which is q3. Those of the released code of Hu et al. 2026, but for q3,
+# which has 0.1 rad there (docs/conventions.md).
 STATE_SCALE = np.array([0.01, 0.1, 0.01, 1e-3, 1e-3, 1e-3, 0.1, 0.1, 0.05])
 
 
@@ -166,6 +167,10 @@ class StateSpace:
         joints[...] = self.limits.lower_rad + span / 2.0 * (1.0 - np.cos(phase))
         return state
 
+    def nearest(self, vector: FloatArray) -> FloatArray:
+        """The vector nearest to ``(9 * arms,)`` that optimisers should go on from: here, the same."""
+        return vector
+
     def pull_back(self, vector: FloatArray, gradient: FloatArray) -> FloatArray:
         """Derivative with respect to search vectors of a function of the states (the chain rule).
 
@@ -182,4 +187,34 @@ class StateSpace:
         phase = np.pi * (split_arms(place)[..., JOINTS] - self.limits.lower_rad) / span
         split_arms(slope)[..., JOINTS] = np.pi / 2.0 * np.sin(phase)
         pulled: FloatArray = gradient * slope * self.scale
+        return pulled
+
+
+class ClampedSpace(StateSpace):
+    """The same without the cosine: joints are clipped to their limits.
+
+    Example:
+        >>> import numpy as np
+        >>> from surgbench.state import JOINTS, ClampedSpace, JointLimits
+        >>> space = ClampedSpace(JointLimits(np.array([-1.5, -1.4, 0.0]), np.array([1.5, 1.4, 1.5])))
+        >>> vector = space.encode(np.array([0.3, 0.4, 0.8, 0.0, 0.0, 0.13, 1.5, -1.4, 0.0]))
+        >>> space.decode(vector + 1.0)[JOINTS].round(9)
+        array([ 1.5 , -1.3 ,  0.05])
+    """
+
+    def encode(self, state: FloatArray) -> FloatArray:
+        """See :class:`StateSpace`."""
+        return clip_joints(state, self.limits) / self.scale
+
+    def decode(self, vector: FloatArray) -> FloatArray:
+        """See :class:`StateSpace`."""
+        return clip_joints(np.asarray(vector, dtype=np.float64) * self.scale, self.limits)
+
+    def nearest(self, vector: FloatArray) -> FloatArray:
+        """The vector with its joints at their limits where they are beyond."""
+        return self.decode(vector) / self.scale
+
+    def pull_back(self, vector: FloatArray, gradient: FloatArray) -> FloatArray:
+        """See :class:`StateSpace`; on a limit it is that of the joints within."""
+        pulled: FloatArray = gradient * self.scale
         return pulled

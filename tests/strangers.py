@@ -140,6 +140,25 @@ class NanConfidence(Still):
         return Estimate(observation.start, confidence=float("nan"))
 
 
+class CertainOfAll(Still):
+    """Claims to be right to the last bit."""
+
+    name = "certain"
+
+    def step(self, observation: Any) -> Any:
+        return Estimate(observation.start, standard_deviations=np.zeros(9))
+
+
+class Unsure(Still):
+    """Half a radian and 1 mm off, it says, but of every third frame nothing; lost where the mask is empty."""
+
+    name = "unsure"
+
+    def step(self, observation: Any) -> Any:
+        deviations = None if observation.index % 3 == 2 else np.repeat([0.5, 0.001, 0.5], 3)
+        return Estimate(observation.start, lost=not observation.mask.any(), standard_deviations=deviations)
+
+
 class WrongName(Still):
     name = "../elsewhere"
 

@@ -20,7 +20,7 @@ class AdamTracker(DescentTracker):
     summary: ClassVar[str] = "gradient descent with Adam on silhouettes and tips, the baseline of Hu et al. 2026"
 
     class Config(DescentConfig):
-        """Options; the defaults are the published settings."""
+        """Options; the defaults are those of the released code."""
 
     def __init__(self, config: Config | None = None) -> None:
         self.config = config or self.Config()

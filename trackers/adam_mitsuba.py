@@ -23,7 +23,7 @@ class AdamMitsubaTracker(DescentTracker):
     summary: ClassVar[str] = "adam with Mitsuba's projective silhouette gradient: slow; needs LLVM 17 or a GPU"
 
     class Config(DescentConfig):
-        """Options; the defaults are the published settings."""
+        """Options; the defaults are those of the released code."""
 
     def __init__(self, config: Config | None = None) -> None:
         self.config = config or self.Config()

@@ -12,20 +12,20 @@ from surgbench.geometry import FloatArray
 from surgbench.search.sampling import SamplingConfig, SamplingTracker
 from surgbench.state import STATE_SIZE
 from surgbench.trackers.optimisers.cma import CMA
-from surgbench.trackers.optimisers.cma_settings import published_settings
+from surgbench.trackers.optimisers.cma_settings import released_settings
 from surgbench.trackers.optimisers.normals import SobolNormals
 
 
 class CmaesTracker(SamplingTracker):
-    """CMA-ES with raised learning rates and few elites, on samples of a Sobol sequence."""
+    """CMA-ES with raised learning rates, on samples of a Sobol sequence."""
 
     name: ClassVar[str] = "cmaes"
     summary: ClassVar[str] = "CMA-ES on silhouettes and tips, as published by Hu et al. 2026"
 
     class Config(SamplingConfig):
-        """Options; the defaults are the published settings."""
+        """Options; the defaults are those of the released code."""
 
-        elites: Annotated[int, Field(ge=1, description="best samples that move the distribution")] = 15
+        elites: Annotated[int, Field(ge=1, description="best samples that move the mean, at most half of all")] = 15
         mean_rate: Annotated[float, Field(gt=0, description="c_m of eq. 3")] = 2.0
         covariance_rate: Annotated[float, Field(gt=0, description="factor on the default c_mu of eq. 4")] = 4.0
 
@@ -35,7 +35,7 @@ class CmaesTracker(SamplingTracker):
 
     def _prepare(self, arms: int, rng: np.random.Generator) -> None:
         config = self.config
-        self._settings = published_settings(
+        self._settings = released_settings(
             STATE_SIZE * arms,
             config.population,
             mean_rate=config.mean_rate,

@@ -23,7 +23,7 @@ from surgbench.objective import LossWeights, Objective
 from surgbench.silhouette import SilhouetteEvaluator
 from surgbench.state import STATE_SCALE, StateSpace, clip_joints
 from surgbench.trackers.optimisers.cma import CMA
-from surgbench.trackers.optimisers.cma_settings import published_settings
+from surgbench.trackers.optimisers.cma_settings import tutorial_settings
 from surgbench.trackers.registration.belief import MotionBelief
 from surgbench.trackers.registration.edges import missed_edge
 from surgbench.trackers.registration.fit import ContourFit, Fit, FitConfig, Prior
@@ -118,7 +118,7 @@ class HybridTracker(InstrumentTracker):
         self._evaluator = SilhouetteEvaluator(scene.instruments, scene.views[0].camera)
         self._fit = ContourFit(scene, self._evaluator, self._scale, config.fit)
         self._space = StateSpace(scene.joint_limits, STATE_SCALE, scene.arms)
-        self._evolution = published_settings(
+        self._evolution = tutorial_settings(
             len(state), config.population, mean_rate=2.0, covariance_rate=4.0, elites=15
         )
         self._jaws = JawJudge(scene.instruments, scene.views[0].camera)

@@ -12,7 +12,7 @@ from pydantic import Field
 from surgbench.geometry import FloatArray
 from surgbench.search.sampling import SamplingConfig, SamplingTracker
 from surgbench.state import STATE_SIZE, split_arms
-from surgbench.trackers.optimisers.cma_settings import package_settings
+from surgbench.trackers.optimisers.cma_settings import package_settings, released_settings
 from surgbench.trackers.optimisers.normals import SobolNormals
 
 # What stands for an infinite loss: the package warns of what is not finite, and adds two losses up.
@@ -43,10 +43,15 @@ class PycmaTracker(SamplingTracker):
     def _prepare(self, arms: int, rng: np.random.Generator) -> None:
         config = self.config
         elites = min(config.elites, config.population // 2)
+        # The weights of the package sum to 1; those of the best samples of half the population, in cmaes, do not.
+        kept = released_settings(STATE_SIZE, config.population, elites=elites).mean_weights.sum()
         self._package_options = {
             "popsize": config.population,
             "CMA_mu": elites,
-            "CMA_cmean": config.mean_rate,
+            # The weights of the package sum to 1; those of the best samples of half the population do not.
+            "CMA_cmean": config.mean_rate
+            * float(kept)
+            * float(released_settings(1, config.population, elites=elites).mean_weights.sum()),
             "CMA_rankmu": _rank_mu_factor(config.covariance_rate, config.population, elites),
             "CMA_active": False,  # with a raised c_mu negative weights make negative eigenvalues
             "CMA_mirrors": 0,

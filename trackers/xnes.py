@@ -19,7 +19,7 @@ class XnesTracker(SamplingTracker):
     summary: ClassVar[str] = "exponential natural evolution strategy on silhouettes and tips, as in Hu et al. 2026"
 
     class Config(SamplingConfig):
-        """Options; the defaults are the published settings."""
+        """Options; the defaults are those of the released code."""
 
     def __init__(self, config: Config | None = None) -> None:
         self.config = config or self.Config()

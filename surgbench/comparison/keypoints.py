@@ -16,6 +16,7 @@ from surgbench.contract import KeypointSource, Observation, Scene, View
 from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument
 from surgbench.keypoints.accuracy import REFERENCE_WIDTH, Accuracy, Outcome, accuracy, outcome
+from surgbench.keypoints.found import BOTH
 from surgbench.keypoints.labelled import LabelledMask, LabelledMasks
 from surgbench.state import STATE_SIZE
 
@@ -84,8 +85,9 @@ def _see(
     source.reset(Scene((instrument,), (view,), (instrument.search_limits,), dt_s=1 / 30, arms=1))
     frame = Observation(0, 0.0, (view,), start=np.zeros(STATE_SIZE))
     begin = time.perf_counter()
-    (pair,) = source.detect(frame, view)
+    (tips,) = source.detect(frame, view)
     latency_ms = 1e3 * (time.perf_counter() - begin)
+    pair = tips if tips is not None and len(tips) == BOTH else None
     progress(1)
     return Seen(index, pair, outcome(example, pair), latency_ms, example.corruption, example.opening_rad)
 

@@ -49,17 +49,18 @@ class Comparison:
 def compare(
     block: Block, rows: Sequence[Row], published: Published | None, measures: Sequence[Column]
 ) -> list[Comparison]:
-    """All rows of a block that have a published row and were run, with the figures that both are about."""
+    """All rows of a block that stand for or beside a published row and were run, with the figures both are about."""
     if published is None:
         return []
     found = {row["row_id"]: row for row in rows}
     comparisons = []
     for row in block.rows:
-        if row.published is None or not found[row.id]["frames"]:
+        name = row.published or row.beside
+        if name is None or not found[row.id]["frames"]:
             continue
         ours, pairs = found[row.id], []
         for measure in measures:
-            figure = published.value(row.published, str(block.published_on), measure.key)
+            figure = published.value(name, str(block.published_on), measure.key)
             if figure is not None:
                 pairs.append(Pair(measure, figure, ours[measure.key], ours.get(f"{measure.key}_sem")))
         comparisons.append(Comparison(row, tuple(pairs)))

@@ -61,7 +61,7 @@ def _row_problems(sheet: Sheet, row: Row, sequences: list[Row]) -> list[str]:
             if (values := [one[error] for one in sequences if one["unit"] == unit and one[error] is not None])
         ]
         expected[error] = float(np.mean(means)) if means else None
-        if error not in sheet.whole:
+        if error not in sheet.spreadless:
             sem = float(np.std(means, ddof=1) / math.sqrt(len(means))) if len(means) > 1 else None
             expected[f"{error}_sem"] = sem
     return [

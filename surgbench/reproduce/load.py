@@ -52,15 +52,18 @@ def _with_defaults(content: dict[str, Any]) -> dict[str, Any]:
 
 def _check_row(block: Block, row: TableRow, published: Published | None) -> None:
     """See now what would otherwise be noticed after datasets are made and rows are run."""
-    if row.published is not None:
+    if row.published is not None and row.beside is not None:
+        raise ConfigError("stands for a published row ('published') or beside one ('beside'), not both")
+    name = row.published or row.beside
+    if name is not None:
         if published is None:
             raise ConfigError("names a published row, but the table names no published figures")
-        if row.published not in published.rows:
-            raise NotFoundError(unknown_name("published row", row.published, published.rows))
-        if block.published_on not in published.rows[row.published].data:
+        if name not in published.rows:
+            raise NotFoundError(unknown_name("published row", name, published.rows))
+        if block.published_on not in published.rows[name].data:
             raise NotFoundError(
-                unknown_name("dataset", str(block.published_on), published.rows[row.published].data)
-                + f" of the published row '{row.published}'"
+                unknown_name("dataset", str(block.published_on), published.rows[name].data)
+                + f" of the published row '{name}'"
             )
     for kind in KINDS:
         reference = getattr(row, kind, None)  # a row names a plug-in of a kind in the field of that name

@@ -25,7 +25,7 @@ class Sheet:
     Attributes:
         columns: Of the leaderboard, without block and label.
         errors: Whose means over a sequence are kept, and of them a row's.
-        whole: Those of them that are one value for all frames, and have no spread.
+        spreadless: Those of them of which no spread is kept: shares, and what is one value for all frames.
         counts: Counted over a sequence.
         traits: Of a sequence, text.
         no_difference: Error to what nobody would call a difference in its mean.
@@ -41,7 +41,7 @@ class Sheet:
 
     columns: tuple[Field, ...]
     errors: tuple[str, ...]
-    whole: tuple[str, ...]
+    spreadless: tuple[str, ...]
     counts: tuple[str, ...]
     traits: tuple[str, ...]
     no_difference: dict[str, float]

@@ -51,7 +51,8 @@ class TableRow(RowRequest):
 
     Attributes:
         label: What it is called in the table.
-        published: Its row among the published figures.
+        published: The row among the published figures that it stands for.
+        beside: One that it is shown beside, which is another method's or another protocol's.
         floor: Row id of the floor it is held against.
         against: Row id that it may better: the same without what it is to show the worth of. On a dataset of another
             block that must be of the same motion.
@@ -61,6 +62,7 @@ class TableRow(RowRequest):
 
     label: str
     published: str | None = None
+    beside: str | None = None
     floor: str | None = None
     against: str | None = None
     timing: Timing | None = None

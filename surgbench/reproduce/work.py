@@ -6,7 +6,9 @@ from pathlib import Path
 from typing import Any
 
 from surgbench.dataset.base import Dataset
+from surgbench.kinds import KINDS
 from surgbench.records.format import SKIPPED
+from surgbench.registry import find
 from surgbench.reproduce.datasets import MakeDataset, PartRequest, Watcher, provide
 from surgbench.reproduce.results import RECORDS, TIMING, BlockWork, RowWork
 from surgbench.reproduce.table import Block, Definition, Table, Timing
@@ -50,6 +52,19 @@ def _timed(asked: RowRequest, timing: Timing) -> RowRequest:
     return asked.model_copy(update={"sequences": runs, "frames": frames})
 
 
+def lacking(table: Table, quick: bool) -> list[str]:
+    """A line for each row that this machine lacks something for."""
+    lines = []
+    for _, row in table.rows():
+        asked = row.asked(quick)
+        for kind in KINDS:
+            reference = getattr(asked, kind, None)
+            reason = None if reference is None else find(kind, reference).unavailable
+            if reason is not None:
+                lines.append(f"row '{row.id}' will be skipped: {kind} '{reference}' cannot run here: {reason}")
+    return lines
+
+
 def do_work(
     definition: Definition, out: Path, data: Path, jobs: int, quick: bool, make: MakeDataset, watcher: Watcher
 ) -> tuple[list[BlockWork], list[str]]:
@@ -71,6 +86,9 @@ def do_work(
         SurgbenchError: Something cannot be written, or a dataset is at fault.
     """
     table = definition.table
+    # First of all, while it can still be mended: what will not be in the table.
+    for line in lacking(table, quick):
+        watcher.say(line)
     probe_output(out)
     blocks = []
     for block in table.blocks:

@@ -34,18 +34,23 @@ class Descent(Protocol):
 
 
 class DescentConfig(Section):
-    """Options; the defaults are the published settings."""
+    """Options; the defaults are those of the released code of Hu et al. 2026."""
 
     iterations: Annotated[int, Field(ge=1, description="steps a frame")] = 10
     learning_rate: Annotated[float, Field(gt=0, description="size of a step, in the state's natural steps")] = 0.1
     estimate: Annotated[
-        Literal["last", "best"], Field(description="where the descent ends, or the least loss on its way")
-    ] = "last"
+        Literal["best", "last"], Field(description="the least loss on the descent's way, or where it ends")
+    ] = "best"
+    joints: Annotated[
+        Literal["clamped", "cosine"],
+        Field(description="kept within their limits by clipping, or by the cosine of eq. 11"),
+    ] = "clamped"
     readings_scale: Annotated[
         float, Field(gt=0, description="factor on the joints' steps where readings are given")
     ] = 0.1
+    jaw_step_rad: Annotated[float, Field(gt=0, description="natural step of q3, without readings")] = 0.1
     lost_iou: Annotated[float, Field(ge=0, le=1, description="an estimate that overlaps less is lost")] = 0.5
-    loss: LossWeights = LossWeights()
+    loss: LossWeights = LossWeights(keypoint_form="released")
 
 
 class DescentTracker(InstrumentTracker):
@@ -58,7 +63,8 @@ class DescentTracker(InstrumentTracker):
     def reset(self, scene: Scene, state: FloatArray, rng: np.random.Generator) -> None:
         """Prepare the loss and the search spaces."""
         self._objective = self._differentiable(scene, rng)
-        self._spaces = SearchSpaces(scene, self._options.readings_scale)
+        options = self._options
+        self._spaces = SearchSpaces(scene, options.readings_scale, options.jaw_step_rad, options.joints == "clamped")
         limits = scene.joint_limits
         margin = MARGIN * (limits.upper_rad - limits.lower_rad)
         self._inner = JointLimits(limits.lower_rad + margin, limits.upper_rad - margin)
@@ -80,6 +86,7 @@ class DescentTracker(InstrumentTracker):
         for _ in range(self._options.iterations):
             gradient = self._objective.gradient(states[-1][None])[0]
             descent.tell(space.pull_back(descent.point, gradient))
+            descent.point = space.nearest(descent.point)
             states.append(space.decode(descent.point))
         losses, ious = self._objective(np.array(states))
         chosen = -1 if self._options.estimate == "last" else int(np.argmin(losses))

@@ -29,7 +29,7 @@ class Search(Protocol):
 
 
 class SamplingConfig(Section):
-    """Options; the defaults are the published settings."""
+    """Options; the defaults are those of the released code of Hu et al. 2026."""
 
     iterations: Annotated[int, Field(ge=1, description="generations a frame")] = 3
     population: Annotated[int, Field(ge=4, description="samples a generation")] = 70
@@ -37,8 +37,9 @@ class SamplingConfig(Section):
     readings_scale: Annotated[
         float, Field(gt=0, description="factor on the joints' steps where readings are given")
     ] = 0.1
+    jaw_step_rad: Annotated[float, Field(gt=0, description="natural step of q3, without readings")] = 0.1
     lost_iou: Annotated[float, Field(ge=0, le=1, description="an estimate that overlaps less is lost")] = 0.5
-    loss: LossWeights = LossWeights()
+    loss: LossWeights = LossWeights(keypoint_form="released")
 
 
 class SamplingTracker(InstrumentTracker):
@@ -51,7 +52,7 @@ class SamplingTracker(InstrumentTracker):
     def reset(self, scene: Scene, state: FloatArray, rng: np.random.Generator) -> None:
         """Prepare the scorer, the search spaces and the samples."""
         self._objective = Objective(scene, self._options.loss)
-        self._spaces = SearchSpaces(scene, self._options.readings_scale)
+        self._spaces = SearchSpaces(scene, self._options.readings_scale, self._options.jaw_step_rad)
         self._prepare(scene.arms, rng)
 
     @abstractmethod

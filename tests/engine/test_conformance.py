@@ -55,6 +55,7 @@ def test_every_tracker_of_ours_keeps_the_rules(name: str) -> None:
         ("ReturnsNan", "plain sequence", "frame 0: step returned a state with NaN"),
         ("ReturnsShape", "plain sequence", "returned shape (7,), not (9,)"),
         ("ReturnsText", "plain sequence", "returned str"),
+        ("CertainOfAll", "plain sequence", "returned a standard deviation of 0, not above 0"),
         ("NanConfidence", "plain sequence", "confidence that is no number"),
         ("Raises", "plain sequence", "RuntimeError: no instrument anywhere"),
         ("NoisyFromNowhere", "same seed", "differ from frame 0 on"),

@@ -68,7 +68,7 @@ WITH_EXAMPLE = (
     "surgbench.report.summary.summarise",
     "surgbench.objective.LossWeights",
     "surgbench.objective.Objective",
-    "surgbench.objective.keypoint_loss",
+    "surgbench.objective.KeypointTerm",
     "surgbench.randomness.generator",
     "surgbench.randomness.seed_from",
     "surgbench.silhouette.KeypointProjector",

@@ -31,14 +31,16 @@ iterations,readings,initialiser,keypoints,filter,floor,views,level,rotation_erro
 translation_error_m,translation_error_m_std,translation_error_m_sem,tip_error_m,tip_error_m_std,tip_error_m_sem,\
 q1_error_rad,q1_error_rad_std,q1_error_rad_sem,q2_error_rad,q2_error_rad_std,q2_error_rad_sem,q3_error_rad,\
 q3_error_rad_std,q3_error_rad_sem,mask_error,mask_error_std,mask_error_sem,mask_error_true,mask_error_true_std,\
-mask_error_true_sem,keypoint_error_px,keypoint_error_px_std,keypoint_error_px_sem,jitter,lag_ms,start_lag_ms,lost_frames
+mask_error_true_sem,keypoint_error_px,keypoint_error_px_std,keypoint_error_px_sem,jitter,lag_ms,start_lag_ms,\
+frames_to_recover,lost_frames,lost_precision,lost_recall,interval_coverage,interval_coverage_rotation,\
+interval_coverage_translation,interval_coverage_q1,interval_coverage_q2,interval_coverage_q3
 cmaes,instrument,mini,cmaes,none/truth kalman,HASH,ok,,2,10,1,1.0,12.0,14.549999999999999,10.0,,2.0,,,single,3,none,\
 truth,dataset,kalman,False,1,,0.30000000000000004,0.157797338380595,0.05,0.003,0.0015779733838059502,0.0005,0.006,\
 0.0031559467676119004,0.001,0.15000000000000002,0.0788986691902975,0.025,0.07500000000000001,0.03944933459514875,\
 0.0125,0.037500000000000006,0.019724667297574376,0.00625,0.060000000000000005,0.031559467676119,0.010000000000000002,\
-0.030000000000000002,0.0157797338380595,0.005000000000000001,3.0,1.5779733838059502,0.5,0.5,,,2
+0.030000000000000002,0.0157797338380595,0.005000000000000001,3.0,1.5779733838059502,0.5,0.5,,,,2,,,,,,,,
 stuck,instrument,mini,cmaes,none/truth kalman,HASH,failed,ValueError: step | returned (3\\,),1,0,1,0.0,,,,,,,,single,3,\
-none,truth,dataset,kalman,False,1,,,,,,,,,,,,,,,,,,,,,,,,,,,,,,,,0
+none,truth,dataset,kalman,False,1,,,,,,,,,,,,,,,,,,,,,,,,,,,,,,,,,0,,,,,,,,
 """
 
 GOLDEN_MARKDOWN = """\
@@ -68,7 +70,7 @@ def only(rows: list[Row]) -> Row:
 def test_row_has_exactly_the_columns_of_the_design(runs: Path) -> None:
     for row in read_rows([runs]):
         assert tuple(row) == keys(INSTRUMENT_COLUMNS)
-    assert len(INSTRUMENT_COLUMNS) == len(set(INSTRUMENT_COLUMNS)) == 19 + 9 + 9 * 3 + 4
+    assert len(INSTRUMENT_COLUMNS) == len(set(INSTRUMENT_COLUMNS)) == 19 + 9 + 9 * 3 + 5 + 8
 
 
 def test_golden_csv(runs: Path) -> None:

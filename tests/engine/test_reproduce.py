@@ -54,7 +54,7 @@ TABLE: dict[str, Any] = {
                     "tracker": f"{STRANGERS}:Noisy",
                     "readings": "true",
                     "sequences": 1,
-                    "published": "gd-10-joints",
+                    "beside": "gd-10-joints",
                     "floor": "still",
                 },
             ],
@@ -138,9 +138,12 @@ def test_page_has_published_figures_and_ratios(made: Path, results: Results) -> 
     page = (made / "results" / "tiny" / "leaderboard.md").read_text(encoding="utf-8")
     row = results.rows[0]
     rotation = row["rotation_error_rad"]
-    assert f"| Still | published, `gd-10` | 0.4957 | 8.90 | 0.3378 | 0.3377 | 0.1715 | {42.40:.2f} |" in page
+    assert f"| Still | published | 0.4957 | 8.90 | 0.3378 | 0.3377 | 0.1715 | {42.40:.2f} |" in page
     assert f"|  | ours | {rotation:.4f} ± {row['rotation_error_rad_sem']:.4f} |" in page
     assert f"|  | ratio | **{rotation / 0.4957:.2f}×** |" in page  # bold: no worse
+    assert "| Noisy, with joints | published, `gd-10-joints` |" in page
+    # A figure that is met: of the row that stands for a published one alone, and no time.
+    assert "The only block: 5 of the 5 accuracies of 1 row" in page
     assert "Starts from the truth." in page
     assert "NVIDIA RTX 4090" in page
     assert "### Above the floor" in page
@@ -152,7 +155,7 @@ def test_without_published_figures_rows_are_held_against_each_other(tmp_path: Pa
     content = json.loads(json.dumps(TABLE))
     del content["published"]
     still, noisy = content["blocks"][0]["rows"]
-    del still["published"], noisy["published"], noisy["floor"]
+    del still["published"], noisy["beside"], noisy["floor"]
     noisy["against"] = "still"
     (tmp_path / "tiny.yaml").write_text(yaml.safe_dump(content), encoding="utf-8")
     definition = load_table(str(tmp_path / "tiny.yaml"))
@@ -349,6 +352,8 @@ def test_unknown_table_offers_the_nearest(capsys: pytest.CaptureFixture[str]) ->
     ("change", "says"),
     [
         ({"published": "gd-11"}, "unknown published row 'gd-11'; did you mean 'gd-10'"),
+        ({"published": None, "beside": "gd-11"}, "unknown published row 'gd-11'; did you mean 'gd-10'"),
+        ({"beside": "gd-10"}, "or beside one .'beside'., not both"),
         ({"tracker": "cmeas"}, "unknown tracker 'cmeas'; did you mean 'cmaes'"),
         ({"keypoints": "observd"}, "unknown keypoints 'observd'"),
         ({"floor": "ground"}, "there is no row 'ground' to be its floor"),
@@ -421,6 +426,18 @@ def test_only_rows_with_a_published_one_are_compared(definition: Definition, res
         *("rotation_error_rad", "translation_error_m", "q1_error_rad", "q2_error_rad", "q3_error_rad"),
         "latency_optimise_ms",
     }
+
+
+def test_what_this_machine_lacks_is_said_first(monkeypatch: pytest.MonkeyPatch, definition: Definition) -> None:
+    from surgbench.reproduce.work import lacking
+    from surgbench.trackers.adam_mitsuba import AdamMitsubaTracker
+
+    monkeypatch.setattr(AdamMitsubaTracker, "unavailable", classmethod(lambda cls: "needs LLVM 17 or later"))
+    lines = lacking(load_table("table1").table, quick=True)
+    assert (
+        "row 'gd-mitsuba-10' will be skipped: tracker 'adam-mitsuba' cannot run here: needs LLVM 17 or later" in lines
+    )
+    assert lacking(definition.table, quick=False) == []
 
 
 def test_without_matplotlib_one_line_says_so(monkeypatch: pytest.MonkeyPatch) -> None:

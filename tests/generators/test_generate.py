@@ -115,7 +115,7 @@ def test_rendered_masks_are_those_of_a_pixel_centre_rasteriser(instrument: Instr
 @pytest.mark.slow
 def test_rendered_masks_are_those_of_the_evaluator(instrument: Instrument, camera: Camera) -> None:
     renderer, evaluator = MaskRenderer([instrument], camera), SilhouetteEvaluator([instrument], camera)
-    pair = make_pair(load_preset("paper"), instrument, "fast", 200, generator(test=0))
+    pair = make_pair(load_preset("paper-wide"), instrument, "fast", 200, generator(test=0))
     states = [*pair[::40].reshape(-1, 9), *states_around_the_camera(80)]
     crossing = visible = 0
     for state in states:
@@ -133,7 +133,7 @@ def test_rendered_masks_are_those_of_the_evaluator(instrument: Instrument, camer
 @pytest.mark.slow
 def test_union_of_the_arms_is_what_mitsuba_renders_of_both(instrument: Instrument, camera: Camera) -> None:
     both, one = MaskRenderer([instrument, instrument], camera), MaskRenderer([instrument], camera)
-    for states in make_pair(load_preset("paper"), instrument, "nominal", 100, generator(test=1))[::25]:
+    for states in make_pair(load_preset("paper-wide"), instrument, "nominal", 100, generator(test=1))[::25]:
         union = one.mask(states[0]) | one.mask(states[1])
         # The film's crop moves rays by a rounding error: ties at edges may fall either way.
         assert np.count_nonzero(both.mask(states) != union) <= 2
@@ -254,29 +254,40 @@ def test_readings_have_bias_drift_and_noise() -> None:
 def test_every_preset_loads() -> None:
     views = ["auxiliary-view", "auxiliary-view-exact", "auxiliary-view-uncalibrated"]
     chasers = ["wire-chaser", "wire-chaser-easy", "wire-chaser-hard", "wire-chaser-mini"]
-    assert packaged_names("presets") == ["agile", *views, "mini", "mismatch", "paper", "paper-rcm", *chasers]
+    assert packaged_names("presets") == [
+        "agile",
+        *views,
+        "in-and-out",
+        "mini",
+        "mismatch",
+        "paper",
+        "paper-rcm",
+        "paper-wide",
+        *chasers,
+    ]
     mini, paper = load_preset("mini"), load_preset("paper")
     assert (mini.pairs, mini.frames) == (1, 60)
     assert (paper.pairs, paper.frames) == (16, 1000)
     assert [entry.speed for entry in plan_dataset(paper).sequences] == ["nominal"] * 8 + ["fast"] * 8
     assert [entry.speed for entry in plan_dataset(mini).sequences] == ["nominal"]
-    agile = load_preset("agile")
-    assert (agile.pairs, agile.frames) == (4, 500)
+    for name in ("agile", "in-and-out"):
+        preset = load_preset(name)
+        assert (preset.pairs, preset.frames) == (4, 500)
     for name, frames in (("paper-rcm", 500), ("mismatch", 300)):
         preset = load_preset(name)
         assert (preset.pairs, preset.frames, preset.motion.kind) == (4, frames, "rcm")
 
 
-def test_paper_yaml_spells_out_the_defaults() -> None:
-    assert load_preset("paper") == Preset(name="paper", pairs=16, frames=1000)
-    written = read_yaml(locate("presets", "preset", "paper"), "preset")
+def test_paper_wide_yaml_spells_out_the_defaults() -> None:
+    assert load_preset("paper-wide") == Preset(name="paper-wide", pairs=16, frames=1000)
+    written = read_yaml(locate("presets", "preset", "paper-wide"), "preset")
 
     def missing(model: dict[str, Any], text: dict[str, Any]) -> list[str]:
         nested = [missing(value, text[key]) for key, value in model.items() if isinstance(text.get(key), dict)]
         return [*(key for key in model if key not in text), *(key for keys in nested for key in keys)]
 
     # The camera has none, and may not.
-    assert missing(load_preset("paper").model_dump(), written) == ["distortion"]
+    assert missing(load_preset("paper-wide").model_dump(), written) == ["distortion"]
 
 
 def test_options_override_the_preset() -> None:

@@ -6,7 +6,7 @@ import pytest
 from surgbench.errors import ConfigError
 from surgbench.generators.place import Place, clearance_m
 from surgbench.generators.presets import Preset, Workspace, load_preset
-from surgbench.generators.trajectories import PairMotion, make_motion, make_pair, ornstein_uhlenbeck
+from surgbench.generators.trajectories import PairMotion, low_pass, make_motion, make_pair, ornstein_uhlenbeck
 from surgbench.geometry import FloatArray, look_at_rotation, wrap_angle
 from surgbench.instrument import Instrument, load_instrument
 from surgbench.randomness import generator
@@ -24,7 +24,7 @@ def instrument() -> Instrument:
 
 @pytest.fixture(scope="module")
 def preset() -> Preset:
-    return load_preset("paper")
+    return load_preset("paper-wide")
 
 
 @pytest.fixture(scope="module")
@@ -101,6 +101,50 @@ def test_waypoints_keep_distance_and_elevation(instrument: Instrument, preset: P
     # The low-pass filter rounds the waypoints off a little.
     assert ((elevation > np.radians(29.5)) & (elevation < np.radians(60.5))).all()
     assert ((distance > 0.0995) & (distance < 0.1705)).all()
+
+
+@pytest.fixture(scope="module")
+def published(instrument: Instrument) -> dict[str, list[FloatArray]]:
+    """Both speeds of ``paper``, four waypoints of each."""
+    preset = load_preset("paper")
+    frames = {"nominal": 201, "fast": 401}
+    return {
+        speed: [make_pair(preset, instrument, speed, frames[speed], generator(test=seed)) for seed in SEEDS]
+        for speed in frames
+    }
+
+
+@pytest.mark.slow
+def test_the_articles_fast_half_goes_further_but_not_faster_a_frame(published: dict[str, list[FloatArray]]) -> None:
+    """Its waypoints are those of fast recordings, stretched to twice as many frames."""
+    way, step = {}, {}
+    for speed, interval in (("nominal", 50), ("fast", 100)):
+        places = np.stack(published[speed])[..., POSITION]
+        way[speed] = np.linalg.norm(np.diff(places[:, ::interval], axis=1), axis=-1).mean()
+        step[speed] = np.linalg.norm(np.diff(places, axis=1), axis=-1).mean()
+    assert way["fast"] > 1.15 * way["nominal"]
+    assert step["fast"] < step["nominal"]
+
+
+@pytest.mark.slow
+def test_the_articles_joints_are_where_surgpose_commands_them(published: dict[str, list[FloatArray]]) -> None:
+    """Wrist pitch 0 to 0.6, yaw ±0.6, half jaw 0 to 0.25 rad, but for the noise of 0.02 rad."""
+    joints = np.concatenate([*published["nominal"], *published["fast"]])[..., JOINTS].reshape(-1, 3)
+    assert (joints > np.array([0.0, -0.6, 0.0]) - 0.06).all()
+    assert (joints < np.array([0.6, 0.6, 0.25]) + 0.06).all()
+    assert (np.ptp(joints, axis=0) > [0.35, 0.6, 0.12]).all()
+
+
+def test_one_euro_smoothing_answers_a_step_as_a_low_pass_of_first_order() -> None:
+    """``1 - exp(-2 pi f t)`` in the limit of many frames a second; a constant stays, and no value knows later ones."""
+    motion = load_preset("paper").motion
+    rate_hz = 3000.0
+    step = np.repeat([[0.0], [1.0]], [10, 3000], axis=0)
+    answer = low_pass(step, motion, rate_hz)[10:, 0]
+    expected = 1.0 - np.exp(-2.0 * np.pi * 0.75 * np.arange(1, 3001) / rate_hz)
+    np.testing.assert_allclose(answer, expected, atol=2e-3)
+    np.testing.assert_allclose(low_pass(np.full((50, 2), 3.0), motion, 30.0), 3.0, rtol=1e-12)
+    assert (low_pass(step, motion, 30.0)[:10] == 0.0).all()
 
 
 def test_motion_is_smooth_and_fast_is_about_twice_nominal(pairs: dict[str, list[FloatArray]]) -> None:

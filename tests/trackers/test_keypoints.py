@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import cv2
 import numpy as np
@@ -26,11 +26,13 @@ from surgbench.geometry import FloatArray
 from surgbench.instrument import load_instrument
 from surgbench.keypoints.accuracy import accuracy, outcome, pair_errors
 from surgbench.registry import configure, create, find
-from surgbench.trackers.keypoints.heatmaps.detector import without_norms
+from surgbench.trackers.keypoints import resnet18
+from surgbench.trackers.keypoints.heatmaps.detector import Look, TipDetector
+from surgbench.trackers.keypoints.heatmaps.fusion import without_norms
 from surgbench.trackers.keypoints.heatmaps.model import load_network, save_network
 from surgbench.trackers.keypoints.heatmaps.network import HeatmapNetwork, NetworkSettings
 from surgbench.trackers.keypoints.heatmaps.peaks import exactly_two, find_peaks
-from surgbench.trackers.keypoints.heatmaps.square import OUTSIDE, find_square
+from surgbench.trackers.keypoints.heatmaps.square import OUTSIDE, Square, find_square
 from surgbench.trackers.keypoints.resnet18 import ResNet18Keypoints
 
 SIZE = 128
@@ -251,6 +253,66 @@ def test_the_hash_of_the_weights_is_an_option_and_no_change() -> None:
     create(find("keypoints", "resnet18"), options)
     with pytest.raises(ConfigError, match="has changed"):
         configure(find("keypoints", "resnet18"), {**options, "model_sha256": "0" * 16})
+
+
+# One peak, two, or more.
+
+
+@pytest.mark.parametrize(
+    ("heats", "options", "count"),
+    [
+        ([0.9], {}, 0),
+        ([0.9], {"single_heat": 0.5}, 1),
+        ([0.45], {"single_heat": 0.5}, 0),
+        ([0.9, 0.8], {}, 2),
+        ([0.9, 0.3], {"single_heat": 0.5}, 1),
+        ([0.9, 0.8, 0.7], {}, 0),
+        ([0.9, 0.8, 0.7], {"single_heat": 0.5}, 0),
+        ([0.9, 0.8, 0.7], {"peaks": "top"}, 2),
+    ],
+)
+def test_what_peaks_become(
+    monkeypatch: pytest.MonkeyPatch, heats: list[float], options: dict[str, Any], count: int
+) -> None:
+    square = Square(centre_px=np.array([32.0, 32.0]), side_px=64.0, up_rad=0.0)
+    peaks = np.arange(2.0 * len(heats)).reshape(-1, 2)
+    look = Look(square, np.zeros((64, 64), np.uint8), np.zeros((64, 64), np.float32), peaks, np.array(heats))
+    detector = TipDetector(HeatmapNetwork(SMALL), SMALL, 0.36, 2, **options)
+    monkeypatch.setattr(detector, "look", lambda mask: look)
+    found = detector.detect(np.zeros((64, 64), dtype=bool))
+    assert (0 if found is None else len(found)) == count
+    if found is not None:
+        np.testing.assert_allclose(found, square.to_image(peaks[:count], SMALL.input_px))
+
+
+# Engines.
+
+
+def test_an_engine_that_is_not_installed_is_told_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(resnet18, "find_spec", lambda name: None)
+    with pytest.raises(ConfigError, match=r"the package onnx is not installed \(surgbench\[onnx\]\)"):
+        configure(find("keypoints", "resnet18"), {"engine": "onnxruntime"})
+    config = configure(find("keypoints", "resnet18"), {"engine": "auto"})
+    assert config is not None
+    assert config.model_dump()["engine"] == "torch"
+
+
+@pytest.mark.extras
+@pytest.mark.slow
+def test_onnx_runtime_finds_the_same_tips(source: ResNet18Keypoints, camera: Camera) -> None:
+    pytest.importorskip("onnxruntime")
+    pytest.importorskip("onnx")
+    other = ResNet18Keypoints(ResNet18Keypoints.Config(engine="auto"))
+    assert other.config.engine == "onnxruntime"
+    other.reset(scene_of(camera))
+    answers = 0
+    for one in TipMasks(HELD_OUT, 40, seed=5, part="test"):
+        (expected,), (found,) = detect(source, one.mask), detect(other, one.mask)
+        assert (found is None) == (expected is None)
+        if found is not None and expected is not None:
+            answers += 1
+            np.testing.assert_allclose(found, expected, atol=0.05)
+    assert answers > 20
 
 
 # The model that comes with the package.

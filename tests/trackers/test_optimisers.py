@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import warnings
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -12,7 +14,7 @@ import torch
 from surgbench.geometry import FloatArray
 from surgbench.trackers.optimisers.adam import Adam
 from surgbench.trackers.optimisers.cma import CMA
-from surgbench.trackers.optimisers.cma_settings import package_settings, published_settings
+from surgbench.trackers.optimisers.cma_settings import package_settings, released_settings, tutorial_settings
 from surgbench.trackers.optimisers.xnes import XNES
 
 
@@ -77,7 +79,7 @@ def test_cma_is_the_package_cma_step_by_step(loss: Any, active: bool, size: int,
 def test_samples_have_the_covariance_that_they_should() -> None:
     """Whatever the root of the covariance is."""
     rng = np.random.default_rng(0)
-    for settings in (package_settings(3, 12), published_settings(3, 12)):
+    for settings in (package_settings(3, 12), tutorial_settings(3, 12)):
         search = CMA(np.zeros(3), 1.0, 12, settings=settings)
         for _ in range(5):
             samples = search.ask(rng.standard_normal((12, 3)))
@@ -86,13 +88,99 @@ def test_samples_have_the_covariance_that_they_should() -> None:
         np.testing.assert_allclose(drawn.T @ drawn / 2, search.sigma**2 * search.covariance, atol=1e-12)
 
 
-def test_published_elites_do_not_change_the_rates() -> None:
-    """As in the paper's code: the rates are those of half the population, whatever counts."""
-    few, default = published_settings(9, 70, elites=15), published_settings(9, 70)
+class Released:
+    """The released CMA-ES of Hu et al. 2026 (CMAES_cus), written from what is known of it, in plain loops.
+
+    The formulas are the package evotorch's; c_m is 2, c_mu four times its default, the best 15 move the mean.
+    """
+
+    def __init__(self, mean: FloatArray, sigma: float, population: int) -> None:
+        d = self.d = len(mean)
+        self.mean, self.sigma = mean.copy(), sigma
+        self.C: FloatArray = np.eye(d)
+        self.A: FloatArray = np.eye(d)
+        self.p_sigma, self.p_c, self.generation = np.zeros(d), np.zeros(d), 0
+        raw = [math.log((population + 1) / 2) - math.log(i + 1) for i in range(population)]
+        mu = population // 2
+        positive, negative = sum(raw[:mu]), sum(raw[mu:])
+        self.mu_eff = positive**2 / sum(w**2 for w in raw[:mu])
+        bad_eff = negative**2 / sum(w**2 for w in raw[mu:])
+        self.c_sigma = (self.mu_eff + 2) / (d + self.mu_eff + 3)
+        self.damp = 1 + 2 * max(0.0, math.sqrt((self.mu_eff - 1) / (d + 1)) - 1) + self.c_sigma
+        self.c_c = (4 + self.mu_eff / d) / (d + 4 + 2 * self.mu_eff / d)
+        self.c_1 = 2 / ((d + 1.3) ** 2 + self.mu_eff)
+        self.c_mu = 4.0 * 2 * (0.25 + self.mu_eff - 2 + 1 / self.mu_eff) / ((d + 2) ** 2 + self.mu_eff)
+        scale = min(
+            1 + self.c_1 / self.c_mu,
+            1 + 2 * bad_eff / (self.mu_eff + 2),
+            (1 - self.c_1 - self.c_mu) / (d * self.c_mu),
+        )
+        self.weights = [w / positive for w in raw[:mu]] + [w / -negative * scale for w in raw[mu:]]
+
+    def tell(self, normals: FloatArray, losses: FloatArray) -> None:
+        d = self.d
+        self.generation += 1
+        ranked = np.argsort(losses)
+        z, y = normals[ranked], normals[ranked] @ self.A.T
+        local = sum(self.weights[i] * z[i] for i in range(15))
+        shaped = sum(self.weights[i] * y[i] for i in range(15))
+        self.mean = self.mean + 2.0 * self.sigma * shaped
+        pull = math.sqrt(self.c_sigma * (2 - self.c_sigma) * self.mu_eff)
+        self.p_sigma = (1 - self.c_sigma) * self.p_sigma + pull * local
+        squared = self.p_sigma @ self.p_sigma / (1 - (1 - self.c_sigma) ** (2 * self.generation))
+        rising = squared / d - 1 < 1 + 4 / (d + 1)
+        pull = math.sqrt(self.c_c * (2 - self.c_c) * self.mu_eff)
+        self.p_c = (1 - self.c_c) * self.p_c + (pull * shaped if rising else 0.0)
+        c_1a = self.c_1 * (1 - (0 if rising else 1) * self.c_c * (2 - self.c_c))
+        C: FloatArray = (1 - c_1a - self.c_mu * sum(self.weights)) * self.C + self.c_1 * np.outer(self.p_c, self.p_c)
+        for i, weight in enumerate(self.weights):
+            counted = weight if weight >= 0 else weight * d / (z[i] @ z[i])
+            C = C + self.c_mu * counted * np.outer(y[i], y[i])
+        self.C = C
+        expected = math.sqrt(d) * (1 - 1 / (4 * d) + 1 / (21 * d**2))
+        self.sigma *= math.exp(self.c_sigma / self.damp * (np.linalg.norm(self.p_sigma) / expected - 1))
+        self.A = np.asarray(np.linalg.cholesky(self.C), dtype=np.float64)
+
+
+@pytest.mark.parametrize("loss", [ellipsoid, slope])
+def test_released_settings_are_the_released_search_step_by_step(loss: Callable[[FloatArray], FloatArray]) -> None:
+    rng = np.random.default_rng(4)
+    start = rng.normal(size=9)
+    theirs, ours = Released(start, 0.7, 70), CMA(start, 0.7, 70, settings=released_settings(9, 70))
+    for _ in range(6):
+        normals = rng.standard_normal((70, 9))
+        samples = ours.ask(normals)
+        losses = loss(samples)
+        theirs.tell(normals, losses)
+        ours.tell(samples, losses)
+        np.testing.assert_allclose(ours.mean, theirs.mean, rtol=1e-9, atol=1e-9 * theirs.sigma)
+        np.testing.assert_allclose(ours.covariance, theirs.C, rtol=0, atol=1e-9 * np.abs(theirs.C).max())
+        assert ours.sigma == pytest.approx(theirs.sigma, rel=1e-9)
+
+
+def test_released_rates_are_the_figures_that_are_known_of_them() -> None:
+    """Nine dimensions, 70 samples: computed from the released code's formulas by its readers."""
+    settings = released_settings(9, 70)
+    assert settings.effective == pytest.approx(19.19, abs=0.005)
+    assert settings.step_path_rate == pytest.approx(0.679, abs=5e-4)
+    assert settings.step_damping == pytest.approx(2.377, abs=1e-3)
+    assert settings.path_rate == pytest.approx(0.355, abs=5e-4)
+    assert settings.rank_one_rate == pytest.approx(0.016, abs=5e-4)
+    assert settings.rank_mu_rate == pytest.approx(0.998, abs=5e-4)
+    assert len(settings.mean_weights) == 15
+    assert settings.mean_weights.sum() == pytest.approx(0.782, abs=5e-4)
+    assert settings.mean_rate * settings.mean_weights.sum() == pytest.approx(1.56, abs=5e-3)
+    assert (settings.weights > 0).all()  # those of bad samples have turned, and are tiny
+    assert settings.weights[35:].sum() == pytest.approx(0.0016, abs=1e-4)
+
+
+def test_elites_do_not_change_the_rates() -> None:
+    """The rates are those of half the population, whatever counts."""
+    few, default = tutorial_settings(9, 70, elites=15), tutorial_settings(9, 70)
     assert len(few.weights) == 15
     assert len(default.weights) == 35
     assert (few.effective, few.rank_mu_rate) == (default.effective, default.rank_mu_rate)
-    raised = published_settings(9, 70, covariance_rate=100.0)
+    raised = tutorial_settings(9, 70, covariance_rate=100.0)
     assert raised.rank_mu_rate + raised.rank_one_rate == pytest.approx(1.0)
 
 

@@ -24,7 +24,7 @@ from surgbench.trackers.initialisers.refinement import least_bent
 from surgbench.trackers.initialisers.thickness import thickness_weights
 from surgbench.trackers.initialisers.truth import TruthInitialiser
 from surgbench.trackers.optimisers.cma import CMA
-from surgbench.trackers.optimisers.cma_settings import published_settings
+from surgbench.trackers.optimisers.cma_settings import tutorial_settings
 from surgbench.trackers.optimisers.normals import SobolNormals
 
 # --- optimisers
@@ -70,7 +70,7 @@ def test_cma_does_not_care_about_the_scale_of_the_losses() -> None:
 
 
 def test_cma_keeps_arms_apart_and_survives_nan() -> None:
-    settings = published_settings(4, 12, mean_rate=2.0, covariance_rate=4.0, elites=4)
+    settings = tutorial_settings(4, 12, mean_rate=2.0, covariance_rate=4.0, elites=4)
     search = CMA(np.zeros(4), 1.0, 12, settings=settings, blocks=(2, 2))
     rng = np.random.default_rng(3)
     for _ in range(30):
@@ -97,7 +97,8 @@ def test_sobol_normals_are_normal_and_never_repeat() -> None:
 def test_kalman_follows_constant_velocity_without_lag(small_camera: Camera) -> None:
     scene = scene_of(small_camera)
     velocity = np.array([0.1, 0.3, 0.1, 0.01, 0.02, -0.01, 0.3, 0.2, 0.1])
-    for config in (KalmanFilter.Config(), KalmanFilter.Config(noise="published", measurement_noise=0.03)):
+    published = KalmanFilter.Config(noise="published", measurement_noise=0.03, start="predicted")
+    for config in (KalmanFilter.Config(), published):
         state_filter = KalmanFilter(config)
         start = np.array([0.2, 0.1, 0.3, 0.0, 0.0, 0.12, -0.5, -0.5, 0.1])
         state_filter.reset(scene, start)
@@ -106,6 +107,23 @@ def test_kalman_follows_constant_velocity_without_lag(small_camera: Camera) -> N
             state_filter.update(start + velocity * k * scene.dt_s)
         expected = start + velocity * 61 * scene.dt_s
         assert np.abs(state_filter.predict() - expected)[[0, 3, 4]].max() < 2e-3
+
+
+def test_published_kalman_is_that_of_the_released_code(small_camera: Camera) -> None:
+    """A frame is 1/20 s whatever the recording says, a fast one too, and the filtered state starts the next search."""
+    estimate = np.array([0.21, 0.1, 0.3, 0.0, 0.0, 0.12, -0.5, -0.5, 0.1])
+    start = estimate - np.array([0.01, 0, 0, 0, 0, 0, 0, 0, 0])
+    found = []
+    for scene in (scene_of(small_camera), replace(scene_of(small_camera), dt_s=1 / 60, speed="fast")):
+        state_filter = KalmanFilter(KalmanFilter.Config(noise="published"))
+        state_filter.reset(scene, start)
+        np.testing.assert_array_equal(state_filter.predict(), start)
+        filtered = state_filter.update(estimate)
+        np.testing.assert_array_equal(state_filter.predict(), filtered)
+        found.append(filtered[0])
+    # P = 1e-2 I, at rest; Q = 2e-5 of the value: the prediction's variance is 1e-2 + 1e-2 dt² + 2e-5. R = 2e-3.
+    variance = 1e-2 + 1e-2 / 20**2 + 2e-5
+    assert found == pytest.approx(2 * [start[0] + 0.01 * variance / (variance + 2e-3)], abs=1e-12)
 
 
 def test_kalman_unwraps_angles(small_camera: Camera) -> None:

@@ -33,7 +33,8 @@ class Noise:
     first_velocity: FloatArray
 
 
-# The figures of the paper's released code (variances there).
+# The figures of the paper's released code (variances there). It takes a frame for 1/20 s whatever the recording says.
+PUBLISHED_DT_S = 1 / 20
 PUBLISHED = Noise(
     value=np.sqrt([2e-5, 1e-4, 2e-5, 2e-5, 2e-5, 2e-5, 1e-4, 1e-4, 1e-4]),
     velocity=np.sqrt([2e-4, 1e-3, 2e-4, 2e-4, 2e-4, 2e-4, 1e-3, 1e-3, 1e-3]),
@@ -65,10 +66,17 @@ class KalmanFilter(Plugin):
         """Options; factors multiply standard deviations."""
 
         noise: Annotated[
-            Literal["tuned", "published"], Field(description="ours, or that of the paper's released code")
+            Literal["tuned", "published"],
+            Field(description="ours; or that of the paper's released code, which has 1/20 s a frame and one speed"),
         ] = "tuned"
+        start: Annotated[
+            Literal["auto", "predicted", "filtered"],
+            Field(description="where the next search begins; auto: predicted, with published noise filtered"),
+        ] = "auto"
         velocity_noise: Annotated[Factor, Field(description="factor on the velocities' process noise")] = 1.0
-        fast_velocity_noise: Annotated[Factor, Field(description="further factor for fast motion")] = 5.0
+        fast_velocity_noise: Annotated[
+            Factor, Field(description="further factor for fast motion, with tuned noise")
+        ] = 5.0
         measurement_noise: Annotated[Factor, Field(description="factor on the measurement noise")] = 1.0
         speed: Annotated[
             Literal["auto", "nominal", "fast"], Field(description="auto: as the dataset says of the sequence")
@@ -80,11 +88,14 @@ class KalmanFilter(Plugin):
     def reset(self, scene: Scene, state: FloatArray) -> None:
         """Start at rest at ``state``, ``(9 * arms,)``."""
         config = self.config
-        noise = TUNED if config.noise == "tuned" else PUBLISHED
+        published = config.noise == "published"
+        noise = PUBLISHED if published else TUNED
         speed = scene.speed if config.speed == "auto" else config.speed
-        faster = config.velocity_noise * (config.fast_velocity_noise if speed == "fast" else 1.0)
+        fast = speed == "fast" and not published
+        faster = config.velocity_noise * (config.fast_velocity_noise if fast else 1.0)
         self._limits = scene.joint_limits
-        self._dt_s = scene.dt_s
+        self._dt_s = PUBLISHED_DT_S if published else scene.dt_s
+        self._starts_filtered = config.start == "filtered" or (published and config.start == "auto")
         self._measurement = np.tile((noise.measurement * config.measurement_noise) ** 2, scene.arms)
         process = np.stack([noise.value**2, (noise.velocity * faster) ** 2], axis=-1)
         first = np.stack([noise.first_value**2, (noise.first_velocity * faster) ** 2], axis=-1)
@@ -97,14 +108,15 @@ class KalmanFilter(Plugin):
         self._covariance: FloatArray = np.tile(first, (scene.arms, 1))[:, :, None] * np.eye(2)
 
     def predict(self) -> FloatArray:
-        """Advance by one frame; returns the predicted state, joints within their limits."""
+        """Advance by one frame; returns where its search begins, joints within their limits."""
         dt = self._dt_s
+        filtered = self._value.copy()
         self._value = self._value + dt * self._velocity
         transition = np.array([[1.0, dt], [0.0, 1.0]])
         self._covariance = transition @ self._covariance @ transition.T
         self._covariance[:, [0, 1], [0, 1]] += self._process
         self._value = clip_joints(self._value, self._limits)
-        return self._value.copy()
+        return filtered if self._starts_filtered else self._value.copy()
 
     def update(self, estimate: FloatArray) -> FloatArray:
         """Take a frame's estimate in; returns the filtered state, joints within their limits."""

@@ -36,7 +36,7 @@ def initialise_each_arm(
         raise SurgbenchError("the arms overlap in the first mask: start from a frame where they are apart")
     states = []
     for arm, mask in enumerate(masks):
-        view = replace(observation.views[0], mask=mask, keypoints=(observation.views[0].keypoints[arm],))
+        view = replace(observation.views[0], mask=mask, keypoints=(observation.views[0].tips[arm],))
         joints = None if observation.joints is None else observation.joints.reshape(scene.arms, 3)[arm]
         alone = replace(
             scene, instruments=(scene.instruments[arm],), limits=(scene.limits[arm],), views=(view,), arms=1

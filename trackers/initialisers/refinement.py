@@ -21,7 +21,7 @@ from surgbench.objective import LossWeights
 from surgbench.state import ANGLES, BETA, JOINTS, POSITION, STATE_SCALE, JointLimits, StateSpace
 from surgbench.trackers.initialisers.thickness import ThicknessObjective
 from surgbench.trackers.optimisers.cma import CMA
-from surgbench.trackers.optimisers.cma_settings import published_settings
+from surgbench.trackers.optimisers.cma_settings import tutorial_settings
 
 BATCH = 256
 WIDE = 5.0  # first step of refinements that begin at a coarse hypothesis
@@ -108,7 +108,7 @@ class Refiner:
 
     def _refine(self, state: FloatArray, sigma: float, generations: int) -> tuple[FloatArray, float]:
         """The best state that is met, and its loss."""
-        settings = published_settings(len(state), self._population)
+        settings = tutorial_settings(len(state), self._population)
         search = CMA(self._space.encode(state), sigma, self._population, settings=settings)
         best, best_loss = state, np.inf
         for _ in range(generations):

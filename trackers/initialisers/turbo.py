@@ -23,7 +23,7 @@ from surgbench.state import ANGLES, POSITION, STATE_SCALE, STATE_SIZE, StateSpac
 from surgbench.trackers.initialisers.arms import initialise_each_arm
 from surgbench.trackers.initialisers.refinement import WIDE, Count, RefinementConfig, Scorer, finish
 from surgbench.trackers.optimisers.cma import CMA
-from surgbench.trackers.optimisers.cma_settings import published_settings
+from surgbench.trackers.optimisers.cma_settings import tutorial_settings
 
 MODULES = ("torch", "gpytorch", "botorch")
 POSE = slice(0, 6)
@@ -188,7 +188,7 @@ class _Settler:
         """A few generations of CMA-ES on each pose, joints as they are."""
         starts = self._space.encode(states)
         population = self._config.local_population
-        settings = published_settings(POSE.stop, population)
+        settings = tutorial_settings(POSE.stop, population)
         searches = [CMA(start[POSE], WIDE, population, settings=settings) for start in starts]
         best, least = states.copy(), np.full(len(states), np.inf)
         for normals in self._normals:

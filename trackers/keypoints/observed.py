@@ -18,5 +18,5 @@ class ObservedKeypoints(Plugin):
         """Nothing to prepare."""
 
     def detect(self, observation: Observation, view: View) -> tuple[FloatArray | None, ...]:
-        """The view's own tips."""
-        return view.keypoints
+        """The view's own tips, one where the other is not known."""
+        return view.tips

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
@@ -19,10 +19,11 @@ if TYPE_CHECKING:
 
 MODELS = Path(__file__).parent / "models"
 HASH_DIGITS = 16
+ONNX_PACKAGES = ("onnx", "onnxruntime")
 
 
 class ResNet18Keypoints(Plugin):
-    """Two peaks of a heatmap for each arm's mask; nothing where not exactly two stand out."""
+    """Two peaks of a heatmap for each arm's mask, or one where only one stands out."""
 
     name: ClassVar[str] = "resnet18"
     summary: ClassVar[str] = "a trained network (ResNet-18, heatmaps) finds the tips in the mask"
@@ -36,6 +37,17 @@ class ResNet18Keypoints(Plugin):
         model_sha256: Annotated[str, Field(description="start of the file's hash; found unless told, and checked")] = ""
         least_heat: Annotated[float, Field(gt=0, lt=1, description="what a peak must reach to stand out")] = 0.36
         apart_px: Annotated[int, Field(ge=1, le=64, description="nearer peaks in the network's picture are one")] = 2
+        peaks: Annotated[
+            Literal["two", "top"], Field(description="a pair of exactly two peaks, or of the hottest two of more, too")
+        ] = "two"
+        single_heat: Annotated[
+            float, Field(gt=0, le=1, description="what a peak that stands out alone must exceed to be a tip; 1: never")
+        ] = 0.5
+        # Not `auto`: what a table says is not to depend on which packages are there.
+        engine: Annotated[
+            Literal["auto", "torch", "onnxruntime"],
+            Field(description="what works the network out on a CPU; auto: onnxruntime where it is installed"),
+        ] = "torch"
 
         @model_validator(mode="after")
         def _find_model(self) -> ResNet18Keypoints.Config:
@@ -44,6 +56,15 @@ class ResNet18Keypoints(Plugin):
             if not found.startswith(self.model_sha256):
                 raise ValueError(f"{self.path} has changed: its hash is {found}, not {self.model_sha256}…")
             self.__dict__["model_sha256"] = found[:HASH_DIGITS]
+            return self
+
+        @model_validator(mode="after")
+        def _find_engine(self) -> ResNet18Keypoints.Config:
+            missing = next((name for name in ONNX_PACKAGES if find_spec(name) is None), None)
+            if self.engine == "onnxruntime" and missing is not None:
+                raise ValueError(f"engine onnxruntime: the package {missing} is not installed (surgbench[onnx])")
+            if self.engine == "auto":
+                self.__dict__["engine"] = "torch" if missing else "onnxruntime"
             return self
 
         @property
@@ -76,14 +97,24 @@ class ResNet18Keypoints(Plugin):
         from surgbench.trackers.keypoints.heatmaps.detector import TipDetector
         from surgbench.trackers.keypoints.heatmaps.model import load_network
 
+        config = self.config
         if self._detector is None or scene.device != self._device:
-            network, settings = load_network(self.config.path)
+            network, settings = load_network(config.path)
             self._device = scene.device
-            self._detector = TipDetector(network, settings, self.config.least_heat, self.config.apart_px, self._device)
+            self._detector = TipDetector(
+                network,
+                settings,
+                config.least_heat,
+                config.apart_px,
+                self._device,
+                engine=config.engine,
+                peaks=config.peaks,
+                single_heat=config.single_heat,
+            )
             self._detector.warm_up()
 
     def detect(self, observation: Observation, view: View) -> tuple[FloatArray | None, ...]:
-        """Two tips per arm; ``None`` where there are not two, and for both where the arms cannot be told apart."""
+        """Two tips per arm, or one; ``None`` where there is none, and for both where the arms cannot be told apart."""
         assert self._detector is not None, "reset comes first"
         arms = len(view.keypoints)
         masks = mask_per_arm(view, arms)

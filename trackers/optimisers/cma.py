@@ -62,7 +62,7 @@ class CMA:
         self._generation += 1
         best = np.argsort(np.where(np.isnan(losses), np.inf, losses), kind="stable")[: len(use.weights)]
         steps = (samples[best] - self.mean) / self.sigma
-        step = use.weights[: self._good] @ steps[: self._good]
+        step = use.mean_weights @ steps[: len(use.mean_weights)]
         self.mean = self.mean + use.mean_rate * self.sigma * step
         whitened = np.linalg.solve(self._factor, step)
         c_sigma, c_c = use.step_path_rate, use.path_rate
@@ -90,7 +90,7 @@ class CMA:
         """
         weights = self.settings.weights
         if self._good == len(weights):
-            return weights, 1.0
+            return weights, float(weights.sum())
         lengths = np.linalg.norm(np.linalg.solve(self._factor, steps[self._good :].T), axis=0)
         bad = weights[self._good :] * len(self.mean) / (lengths + 1e-9) ** 2
         return np.concatenate([weights[: self._good], bad]), float(weights.sum())

@@ -75,6 +75,7 @@ class ContourFit:
         *,
         iterations: int | None = None,
         spacing_px: int | None = None,
+        tips: bool = True,
     ) -> Fit:
         """Minimise robust edge offsets, tip distances and the prior's Mahalanobis distance, from ``state`` on.
 
@@ -84,6 +85,7 @@ class ContourFit:
             prior: What is believed before.
             iterations: Instead of the configured number.
             spacing_px: Instead of the configured one.
+            tips: Fit to the tips too. Without, no view's tips are looked at, and no detector is waited for.
         """
         config, scale = self._config, self._scale
         n = len(state)
@@ -93,7 +95,7 @@ class ContourFit:
         for own, view in zip(self._views, observation.views, strict=True):
             if first:
                 own.next_frame()
-            own.begin(view)
+            own.begin(view, tips=tips)
         for _ in range(iterations or config.iterations):
             parts = [own.equations(fit.state, spacing_px or config.spacing_px) for own in self._views]
             information = functools.reduce(operator.add, (part.information for part in parts))

@@ -21,6 +21,7 @@ from surgbench.trackers.registration.parts import Parts
 FEWEST_POINTS = 8
 MEDIAN_TO_SD = 1.4826  # standard deviation over median of absolute deviations, of Gaussian numbers
 MEMORY = 0.9  # of how wrong edges are, from frame to frame
+TIP_WIDTH = 3.0  # standard deviations of a tip beyond which it counts ever less
 NARROWING = 0.6  # of the robust width, from one iteration to the next
 EXPLAINED_PX = 2.0
 JAW_PX = 3.0  # jaws of real instruments are thicker or thinner than ours by as much
@@ -40,6 +41,7 @@ class FitConfig(Section):
     width_px: Annotated[Positive, Field(description="offsets beyond it count ever less (Geman-McClure)")] = 2.0
     offset_px: Annotated[Positive, Field(description="standard deviation of the offset common to all edges")] = 0.5
     tip_px: Annotated[Positive, Field(description="standard deviation of a tip keypoint")] = 3.0
+    single_tips: Annotated[bool, Field(description="fit to a tip where the other was not found, too")] = True
 
 
 # How wrong T_view_cam of a further view may be, and how much that changes from frame to frame: rotation vector and
@@ -111,9 +113,10 @@ class ViewFit:
         mean, information = self._learned
         self._known = mean, np.linalg.inv(np.linalg.inv(information) + np.diag((CHANGE / CALIBRATION) ** 2))
 
-    def begin(self, view: View) -> None:
-        """Begin a fit to a frame's view."""
+    def begin(self, view: View, *, tips: bool = True) -> None:
+        """Begin a fit to a frame's view, with its tips or to its edges alone."""
         self._view = view
+        self._with_tips = tips
         self.offset_px = 0.0
         self._width: float | None = None
         self._seen_excess = np.full(2, np.nan)
@@ -224,25 +227,43 @@ class ViewFit:
         return max(spread**2 - self._config.fits_px**2, 0.0)
 
     def _add_tips(self, A: FloatArray, b: FloatArray, state: FloatArray, own: FloatArray) -> None:
-        """Add the tips' part to the normal equations, in place; each tip goes with the nearer way round."""
+        """Add the tips' part to the normal equations, in place."""
         sd = self._config.tip_px
+        if not self._with_tips:
+            return
         size = len(self._scale)
-        seen = [(arm, tips) for arm, tips in enumerate(self._view.keypoints) if tips is not None]
+        found = self._view.tips if self._config.single_tips else self._view.keypoints
+        seen = [(arm, tips) for arm, tips in enumerate(found) if tips is not None]
         if not seen:
             return
         projected = self._projector.project(own[None])[0]
         for arm, tips in seen:
-            off = min((tips - projected[arm], tips[::-1] - projected[arm]), key=lambda way: float((way**2).sum()))
+            off, share = _offsets(tips, projected[arm], TIP_WIDTH * sd)
             if not np.isfinite(off).all():  # behind the camera
                 continue
             forces = np.zeros((4, len(projected), 2, 2))
             forces[:, arm] = np.eye(4).reshape(4, 2, 2)
             J = self._jacobian(state, own, self._projector.pull_back(np.tile(own, (4, 1)), forces)) * self._scale
             distance = np.linalg.norm(off, axis=1).repeat(2)
-            weight = 1.0 / (sd * (1.0 + (distance / (3.0 * sd)) ** 2)) ** 2
+            weight = share.repeat(2) / (sd * (1.0 + (distance / (TIP_WIDTH * sd)) ** 2)) ** 2
             A[:size, :size] += (J * weight[:, None]).T @ J
             b[:size] += (J * weight[:, None]).T @ off.reshape(4)
 
 
 def _first_known(values: FloatArray, others: FloatArray) -> FloatArray:
     return np.where(np.isnan(values), others, values)
+
+
+def _offsets(seen: FloatArray, projected: FloatArray, width_px: float) -> tuple[FloatArray, FloatArray]:
+    """How far each projected tip is from what was seen of it, ``(2, 2)``, and how much that counts, ``(2,)``.
+
+    Two seen tips go with the projected ones in the nearer way round. A single one may be either: it counts for each in
+    proportion to how likely it is that one, so that of two that lie together both are drawn, and else the nearer alone.
+    """
+    if len(seen) == 1:
+        off = seen - projected
+        squares = (off**2).sum(axis=1)
+        likely = np.exp((squares.min() - squares) / (2.0 * width_px**2))
+        return off, likely / likely.sum()
+    off = min((seen - projected, seen[::-1] - projected), key=lambda way: float((way**2).sum()))
+    return off, np.ones(2)

@@ -9,6 +9,7 @@ from pydantic import Field
 from surgbench.suite.asked import RowRequest
 
 Readings = Literal["none", "noisy", "true"]
+Scored = Literal["raw", "filtered"]
 
 
 class InstrumentRow(RowRequest):
@@ -23,6 +24,7 @@ class InstrumentRow(RowRequest):
             readings on data that holds tips ``observed``.
         readings: Which joint readings the tracker is given.
         view: Auxiliary view that the tracker is given besides the endoscope's.
+        scored: Which state is recorded and scored: the tracker's own, or what the filter makes of it.
     """
 
     initialiser: Annotated[
@@ -37,3 +39,6 @@ class InstrumentRow(RowRequest):
     view: Annotated[
         str | None, Field(description="NAME: auxiliary view that trackers see besides the endoscope's.")
     ] = None
+    scored: Annotated[
+        Scored, Field(description="Which state is scored: the tracker's own, or what the filter makes of it.")
+    ] = "raw"

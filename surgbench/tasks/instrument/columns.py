@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from surgbench.metrics import INTERVAL_COVERAGES
 from surgbench.report.column import ROW, VARIANT, Column
 
 MASK = Column("mask_error", "mask error", "", 3, short="mask\nerror", best=True)
@@ -29,6 +30,17 @@ COLUMNS = (
     Column("start_lag_ms", "start lag", "ms", 1, short="start\nlag ms", from_width=130),
     Column("latency_ms", "latency", "ms", 1, short="time\nms", best=True),
     Column("latency_ms_p95", "p95", "ms", 1, short="p95\nms", from_width=100),
+)
+
+# Shares of what was said of itself that was right, in blocks of their own where a row has them.
+SURE = tuple(
+    Column(key, name, "%", 1, 100.0)
+    for key, name in zip(INTERVAL_COVERAGES, ("all", "rotation", "translation", "q1", "q2", "q3"), strict=True)
+)
+OUT_OF_VIEW = (
+    Column("lost_precision", "precision of lost", "%", 1, 100.0),
+    Column("lost_recall", "recall of lost", "%", 1, 100.0),
+    Column("frames_to_recover", "frames to recover", "", 1),
 )
 
 # Reproduced tables, beside published figures of as many digits.

@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from surgbench import metrics
 from surgbench.contract import Mask, Observation, Scene
@@ -17,7 +18,7 @@ from surgbench.suite.running import Run
 from surgbench.suite.settings import Job, Plug
 from surgbench.tasks.instrument.dataset import InstrumentDataset, InstrumentUnit
 from surgbench.tasks.instrument.plan import InstrumentSettings
-from surgbench.tasks.instrument.records import ANSWER_COLUMNS
+from surgbench.tasks.instrument.records import ANSWER_COLUMNS, SHARES
 from surgbench.tasks.instrument.units import UnitData
 from surgbench.tasks.instrument.worker import Answer, Setup
 
@@ -58,6 +59,7 @@ def child_setup(job: Job, scene: Scene) -> Setup:
         replace(scene, device=settings.conditions.device),
         own(settings.tracker),
         own(settings.initialiser),
+        settings.scored,
     )
 
 
@@ -140,24 +142,66 @@ def _errors(
     data: UnitData, answers: list[Answer], mask_errors: list[tuple[float, float | None]]
 ) -> dict[str, list[Any] | None]:
     """Errors of all frames; ``None`` where there is no truth to hold them against."""
-    errors: dict[str, list[Any] | None] = {name: None for name in metrics.POSE_ERRORS}
+    errors: dict[str, list[Any] | None] = dict.fromkeys((*metrics.POSE_ERRORS, "frames_to_recover", *SHARES))
     shape = (len(answers), len(data.unit.arms), STATE_SIZE)
     states = np.array([answer.state for answer in answers]).reshape(shape)
     starts = np.array([answer.start for answer in answers]).reshape(shape)
+    away = out_of_view(data, len(answers))
     if data.truth is not None:
+        truth = data.truth[: len(answers)]
         per_arm = [
-            metrics.pose_errors(instrument, data.camera, states[:, arm], data.truth[: len(answers), arm])
+            metrics.pose_errors(instrument, data.camera, states[:, arm], truth[:, arm])
             for arm, instrument in enumerate(data.instruments)
         ]
         for name in metrics.POSE_ERRORS:
-            errors[name] = _finite(np.stack([arm[name] for arm in per_arm], axis=1))
-    errors["mask_error"] = [observed for observed, _ in mask_errors]
-    errors["mask_error_true"] = None if data.truth is None else [clean for _, clean in mask_errors]
+            values = np.stack([arm[name] for arm in per_arm], axis=1)
+            errors[name] = _finite(np.where(away, np.nan, values))
+        tip_errors = [arm["tip_error_m"] for arm in per_arm]
+        recovered = [metrics.frames_to_recover(*arm) for arm in zip(tip_errors, away.T, strict=True)]
+        errors["frames_to_recover"] = _finite(np.array(recovered))
+        lost, any_away = [answer.lost for answer in answers], away.any(axis=1)
+        errors["lost_precision"] = _finite(metrics.lost_precision(lost, any_away))
+        errors["lost_recall"] = _finite(metrics.lost_recall(lost, any_away))
+        coverages = metrics.interval_coverages(states, _deviations(answers, shape), truth)
+        errors |= {name: _finite(np.where(away, np.nan, values)) for name, values in coverages.items()}
+    # There is nothing to be held against a silhouette where no instrument shows.
+    seen: list[bool] = [bool(arms.any()) for arms in ~away]
+    observed, clean = zip(*mask_errors, strict=True) if mask_errors else ((), ())
+    errors["mask_error"] = [value if one else None for value, one in zip(observed, seen, strict=True)]
+    if data.truth is None:
+        errors["mask_error_true"] = None
+    else:
+        errors["mask_error_true"] = [value if one else None for value, one in zip(clean, seen, strict=True)]
+    states, starts = (np.where(away[..., None], np.nan, values) for values in (states, starts))
     tips = [instrument.tips_cam(states[:, arm]) for arm, instrument in enumerate(data.instruments)]
     errors["lag_ms"] = _lags(states, data)
     errors["start_lag_ms"] = _lags(starts, data)
     errors["jitter"] = _finite(np.array([metrics.jitter(arm, data.sequence.dt_s) for arm in tips]))
     return errors
+
+
+def out_of_view(data: UnitData, frames: int) -> NDArray[np.bool_]:
+    """In which of a unit's first frames an arm is out of view, ``(frames, arms)``; in none where there is no truth.
+
+    That is by the silhouette of its true state, so that it is the same for an arm alone and in a pair, and whatever
+    happens to masks.
+    """
+    away = np.zeros((frames, len(data.unit.arms)), dtype=bool)
+    if data.truth is None or not frames:
+        return away
+    camera = data.camera
+    nothing = Reference(np.zeros((camera.height, camera.width), dtype=bool))
+    for arm, instrument in enumerate(data.instruments):
+        areas = SilhouetteEvaluator((instrument,), camera).score(data.truth[:frames, arm], nothing).area
+        away[:, arm] = areas < metrics.OUT_OF_VIEW_SHARE * camera.width * camera.height
+    return away
+
+
+def _deviations(answers: list[Answer], shape: tuple[int, ...]) -> FloatArray:
+    """Standard deviations of all frames, NaN where a tracker gave none."""
+    unknown = np.full(int(np.prod(shape[1:])), np.nan)
+    given = [answer.standard_deviations for answer in answers]
+    return np.array([unknown if one is None else one for one in given]).reshape(shape)
 
 
 def _lags(states: FloatArray, data: UnitData) -> list[Any] | None:

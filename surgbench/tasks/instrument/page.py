@@ -5,21 +5,31 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from surgbench.report.column import NO_VALUE
+from surgbench.report.column import NO_VALUE, Column
 from surgbench.report.figures import FIGURE_PNG
 from surgbench.report.markdown import QUICK_WARNING, escape, failure_lines, markdown_table
 from surgbench.report.row import Row
-from surgbench.reproduce.compare import Comparison, compare
+from surgbench.reproduce.compare import Comparison, Pair, compare
 from surgbench.reproduce.published import Published
 from surgbench.reproduce.results import Results
 from surgbench.reproduce.table import Block, Definition, Table
-from surgbench.tasks.instrument.columns import PAGE_ERRORS, PAGE_POSE, PAGE_TIME, PAGE_TIME_P95, PUBLISHED, TIPS
+from surgbench.tasks.instrument.columns import (
+    OUT_OF_VIEW,
+    PAGE_ERRORS,
+    PAGE_POSE,
+    PAGE_TIME,
+    PAGE_TIME_P95,
+    PUBLISHED,
+    SURE,
+    TIPS,
+)
 
 READING = (
     "Errors are means over sequences (each arm is one) ± their standard error, after the paper's rule for the 180° "
-    "twin. *mask error* is against the mask that the tracker saw, *true mask error* against the uncorrupted one; "
-    "*keypoints* is the sum over both tips. *time* is the median of a frame's optimisation. Every column is explained "
-    "in `docs/metrics.md`; `leaderboard.csv` has more of them, with all digits, and `sequences.csv` every sequence's "
+    "twin; where `scored` in `leaderboard.csv` says so, of the state that the filter makes of the tracker's. *mask "
+    "error* is against the mask that the tracker saw, *true mask error* against the uncorrupted one; *keypoints* is "
+    "the sum over both tips. *time* is the median of a frame's optimisation. Every column is explained in "
+    "`docs/metrics.md`; `leaderboard.csv` has more of them, with all digits, and `sequences.csv` every sequence's "
     "means."
 )
 
@@ -48,6 +58,10 @@ def markdown(definition: Definition, results: Results) -> str:
         floors = _floor_table(block, results.rows)
         if floors:
             parts += ["### Above the floor", FLOOR_NOTE, floors]
+        for title, note, columns in (SURE_PART, OUT_OF_VIEW_PART):
+            told = _told_table(rows, columns)
+            if told:
+                parts += [f"### {title}", note, told]
         gains = _gain_table(block, results)
         if gains:
             parts += ["### What it changes", GAIN_NOTE, gains]
@@ -58,6 +72,22 @@ FLOOR_NOTE = (
     "How many times the error of the floor row, which searches every frame from its true state: what the masks allow."
 )
 
+SURE_PART = (
+    "How sure they are",
+    "How often the truth lies in the central 90 % interval that a tracker states with its standard deviations: over "
+    "frames, and over the components of each group. 90 is right, 85 to 95 good; less is too sure, more not sure "
+    "enough.",
+    SURE,
+)
+
+OUT_OF_VIEW_PART = (
+    "When the instrument is out of view",
+    "Of the frames in which a tracker says that it is lost, how many have an instrument out of view (precision); of "
+    "those that have, in how many it says so (recall); and the median of the frames that it takes after a return until "
+    "the tips are within 5 mm again. No error counts frames out of view.",
+    OUT_OF_VIEW,
+)
+
 GAIN_NOTE = (
     "By how much each error is smaller (−) or larger (+) than that of the row it is held against, and in how many of "
     "the sequences the tips' error is smaller."
@@ -65,23 +95,39 @@ GAIN_NOTE = (
 
 
 def _summary(table: Table, compared: dict[str, list[Comparison]], source: str) -> str:
-    """How many of the published figures are reached, block by block; what was not run is no figure."""
+    """How many of the published accuracies are reached, block by block; what was not run is no figure."""
     counts = []
     for block in table.blocks:
-        pairs = [pair for one in compared[block.name] for pair in one.pairs if pair.ours is not None]
+        stand = [one for one in compared[block.name] if one.row.published is not None]
+        pairs = [pair for one in stand for pair in _accuracies(one) if pair.ours is not None]
         if pairs:
-            counts.append(f"{block.heading}: {sum(pair.met for pair in pairs)} of {len(pairs)}")
-    return f"**Figures of {source} that are met or bettered: {'; '.join(counts)}.**" if counts else ""
+            rows = "1 row" if len(stand) == 1 else f"{len(stand)} rows"
+            counts.append(
+                f"{block.heading}: {sum(pair.met for pair in pairs)} of the {len(pairs)} accuracies of {rows}"
+            )
+    if not counts:
+        return ""
+    return (
+        f"**Accuracies of {source} met or bettered by the rows that stand for its rows: {'; '.join(counts)}.** Not "
+        "counted are times, which are of other hardware, and rows that are only shown beside a published one."
+    )
+
+
+def _accuracies(one: Comparison) -> list[Pair]:
+    """The errors of a row that stands for a published one; none of any other row."""
+    return [pair for pair in one.pairs if pair.measure != PAGE_TIME] if one.row.published is not None else []
 
 
 def _not_met(comparisons: list[Comparison]) -> str:
     worse = [
         f"`{one.row.id}` {pair.measure.name} ({_ratio(pair.ratio)})"
         for one in comparisons
-        for pair in one.pairs
+        for pair in _accuracies(one)
         if pair.ratio is not None and not pair.met
     ]
-    return f"Worse than published: {', '.join(worse) or 'nothing'}."
+    if not any(one.row.published is not None for one in comparisons):
+        return ""
+    return f"Less accurate than published: {', '.join(worse) or 'nothing'}."
 
 
 def _times(about: dict[str, Any], published: Published | None) -> str:
@@ -144,7 +190,7 @@ def _comparison_table(comparisons: Sequence[Comparison]) -> str:
             text = NO_VALUE if pair is None or pair.ratio is None else _ratio(pair.ratio)
             ratio.append(f"**{text}**" if pair is not None and pair.met else text)
         # A method of ours stands beside another method's figures.
-        whose = "published" if one.row.published == one.row.id else f"published, `{one.row.published}`"
+        whose = "published" if one.row.published is not None else f"published, `{one.row.beside}`"
         lines += [[escape(one.row.label), whose, *published], ["", "ours", *ours], ["", "ratio", *ratio]]
     return markdown_table(lines, text_columns=2)
 
@@ -162,6 +208,19 @@ def _floor_table(block: Block, rows: Sequence[Row]) -> str:
         ]
         lines.append([escape(row.label), f"`{row.floor}`", *ratios])
     return markdown_table(lines, text_columns=2) if len(lines) > 1 else ""
+
+
+def _told_table(rows: Sequence[Row], columns: Sequence[Column]) -> str:
+    """The rows that have one of some columns."""
+    telling = [row for row in rows if any(row[column.key] is not None for column in columns)]
+    if not telling:
+        return ""
+    lines = [["method", "row id", *(column.heading for column in columns)]]
+    lines += [
+        [escape(row["label"]), f"`{row['row_id']}`", *(column.text(row[column.key]) for column in columns)]
+        for row in telling
+    ]
+    return markdown_table(lines, text_columns=2)
 
 
 def _gain_table(block: Block, results: Results) -> str:

@@ -11,7 +11,7 @@ from surgbench.suite.asked import Conditions
 from surgbench.suite.plug import plug
 from surgbench.suite.settings import Plug, Settings, flat
 from surgbench.suite.slices import cut
-from surgbench.tasks.instrument.asked import InstrumentRow, Readings
+from surgbench.tasks.instrument.asked import InstrumentRow, Readings, Scored
 from surgbench.tasks.instrument.dataset import InstrumentDataset
 
 
@@ -21,6 +21,7 @@ class InstrumentSettings(Settings):
 
     Attributes:
         view: Auxiliary view that the tracker is given besides the endoscope's.
+        scored: Which state is scored.
     """
 
     initialiser: Plug
@@ -28,6 +29,7 @@ class InstrumentSettings(Settings):
     keypoints: Plug
     readings: Readings
     view: str | None = None
+    scored: Scored = "raw"
 
     task: ClassVar[str] = "instrument"
 
@@ -42,8 +44,10 @@ class InstrumentSettings(Settings):
         return self.filter.needs_truth
 
     def spec(self) -> dict[str, Any]:
-        """Adds the readings, and the view where there is one besides the endoscope's."""
+        """Adds the readings, the view where there is one besides the endoscope's, and a scored state not the usual."""
         spec = {**super().spec(), "readings": self.readings}
+        if self.scored != "raw":
+            spec["scored"] = self.scored
         return spec if self.view is None else {**spec, "view": self.view, "views": 2}
 
     def words(self) -> list[str]:
@@ -54,6 +58,8 @@ class InstrumentSettings(Settings):
             words.append(f"{self.readings} readings")
         if self.view is not None:
             words.append(f"also the view {self.view}")
+        if self.scored == "filtered":
+            words.append("the filtered state is scored")
         if self.conditions.device != "cpu":
             words.append(f"device {self.conditions.device}")
         usual_keypoints = usual_keypoint_source(self.readings)
@@ -115,6 +121,7 @@ def complete(row: InstrumentRow, conditions: Conditions, dataset: InstrumentData
         keypoints=keypoints,
         readings=row.readings,
         view=row.view,
+        scored=row.scored,
     )
 
 

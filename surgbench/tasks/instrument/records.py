@@ -8,14 +8,18 @@ import numpy as np
 from pydantic import model_validator
 
 from surgbench.geometry import FloatArray
-from surgbench.metrics import POSE_ERRORS
+from surgbench.metrics import INTERVAL_COVERAGES, POSE_ERRORS
 from surgbench.records.format import Frames, Number, Plug, Record, RecordSpec
 
-PER_ARM = ("jitter", "lag_ms", "start_lag_ms")  # errors that have one value for all frames together
+# Errors that have one value for all frames together.
+PER_ARM = ("jitter", "lag_ms", "start_lag_ms", "frames_to_recover")
+# Values between 0 and 1 of which a mean is a share, and has no spread: of frames, or of components of the state.
+LOST_SHARES = ("lost_precision", "lost_recall")
+SHARES = (*LOST_SHARES, *INTERVAL_COVERAGES)
 # What is kept of each answer of the child process, which has an attribute of each name.
 ANSWER_COLUMNS = (
-    "start", "state", "confidence", "lost", "latency_ms", "latency_optimise_ms", "latency_keypoints_ms",
-    "latency_filter_ms",
+    "start", "state", "confidence", "lost", "standard_deviations", "latency_ms", "latency_optimise_ms",
+    "latency_keypoints_ms", "latency_filter_ms",
 )  # fmt: skip
 
 
@@ -30,6 +34,7 @@ class InstrumentRecordSpec(RecordSpec):
     readings: str
     views: int = 1
     view: str | None = None
+    scored: str = "raw"
 
 
 class InstrumentFrames(Frames):
@@ -39,6 +44,7 @@ class InstrumentFrames(Frames):
     state: list[list[float]] = []
     confidence: list[Number] = []
     lost: list[bool] = []
+    standard_deviations: list[list[float] | None] = []
     latency_ms: list[Number] = []
     latency_optimise_ms: list[Number] = []
     latency_keypoints_ms: list[Number] = []
@@ -61,7 +67,7 @@ class InstrumentRecord(Record):
     """One run of an instrument tracker."""
 
     whole: ClassVar[tuple[str, ...]] = PER_ARM
-    error_names: ClassVar[tuple[str, ...]] = (*POSE_ERRORS, "mask_error", "mask_error_true", *PER_ARM)
+    error_names: ClassVar[tuple[str, ...]] = (*POSE_ERRORS, "mask_error", "mask_error_true", *PER_ARM, *SHARES)
 
     spec: InstrumentRecordSpec
     frames: InstrumentFrames

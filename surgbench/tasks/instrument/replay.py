@@ -71,6 +71,7 @@ def _job(record: dict[str, Any], dataset: InstrumentDataset) -> Job:
         keypoints=references["keypoints"],
         readings=spec["readings"],
         view=spec.get("view"),
+        scored=spec.get("scored", "raw"),
         options={plug["name"]: plug["options"] for plug in plugs if plug["options"]},
         frames=spec.get("frames_limit"),
     )

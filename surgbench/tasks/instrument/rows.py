@@ -7,12 +7,12 @@ from surgbench.metrics import POSE_ERRORS
 from surgbench.report.field import count, flag, number, text
 from surgbench.report.row import COMMON_COLUMNS, Row, median, pooled
 from surgbench.report.summary import summarise
-from surgbench.tasks.instrument.records import PER_ARM, InstrumentRecord
+from surgbench.tasks.instrument.records import PER_ARM, SHARES, InstrumentRecord
 
 SETTING_COLUMNS = (
     *text("arms"),
     *count("iterations"),
-    *text("readings", "initialiser", "keypoints", "filter"),
+    *text("readings", "initialiser", "keypoints", "filter", "scored"),
     *flag("floor"),
     *count("views"),
     *text("level"),
@@ -23,6 +23,7 @@ INSTRUMENT_COLUMNS = (
     *SETTING_COLUMNS,
     *number(*(f"{error}{suffix}" for error in ERRORS for suffix in ("", "_std", "_sem")), *PER_ARM),
     *count("lost_frames"),
+    *number(*SHARES),
 )
 
 
@@ -47,6 +48,7 @@ def instrument_row(head: Row, records: list[InstrumentRecord]) -> Row:
         "initialiser": spec.initialiser.name,
         "keypoints": spec.keypoints.name,
         "filter": spec.filter.name,
+        "scored": spec.scored,
         "floor": records[0].floor,
         "views": spec.views,
         "level": spec.level,
@@ -56,6 +58,7 @@ def instrument_row(head: Row, records: list[InstrumentRecord]) -> Row:
         row |= {error: summary.mean, f"{error}_std": summary.std, f"{error}_sem": summary.sem}
     row |= {name: summarise(_by_sequence(records, name)).mean for name in PER_ARM}
     row["lost_frames"] = sum(sum(record.frames.lost) for record in records)
+    row |= {name: summarise(_by_sequence(records, name)).mean for name in SHARES}
     return row
 
 

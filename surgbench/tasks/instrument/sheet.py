@@ -17,7 +17,7 @@ from surgbench.tasks.instrument.difficulty import difficulty
 from surgbench.tasks.instrument.figure import draw
 from surgbench.tasks.instrument.fingerprint import sequence_head_sha256
 from surgbench.tasks.instrument.page import markdown
-from surgbench.tasks.instrument.records import PER_ARM, InstrumentRecord
+from surgbench.tasks.instrument.records import PER_ARM, SHARES, InstrumentRecord
 from surgbench.tasks.instrument.rows import ERRORS, INSTRUMENT_COLUMNS
 
 
@@ -47,8 +47,8 @@ def _draw(definition: Definition, blocks: Sequence[BlockWork], folder: Path) -> 
 
 INSTRUMENT_SHEET = Sheet(
     columns=INSTRUMENT_COLUMNS,
-    errors=(*ERRORS, *PER_ARM),
-    whole=PER_ARM,
+    errors=(*ERRORS, *PER_ARM, *SHARES),
+    spreadless=(*PER_ARM, *SHARES),
     counts=("lost_frames",),
     traits=("speed",),
     no_difference={

@@ -32,7 +32,7 @@ class InstrumentTask(Task):
     summary: ClassVar[str] = "estimate the state of one or two instruments in every frame of a mask sequence"
     default: ClassVar[bool] = True
     made_by: ClassVar[tuple[str, ...]] = tuple(
-        f"{__package__}.{name}" for name in ("auxiliary", "dataset", "execute", "tables", "units", "worker")
+        f"{__package__}.{name}" for name in ("auxiliary", "dataset", "execute", "tables", "tips", "units", "worker")
     )
     first_check: ClassVar[str] = "plain sequence"
     may_refuse: ClassVar[tuple[str, ...]] = ("readings", "kinematics", "two arms")

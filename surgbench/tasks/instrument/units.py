@@ -10,6 +10,7 @@ from surgbench.contract import Mask, Observation, Scene, View, no_image
 from surgbench.dataset.masks import read_image
 from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument
+from surgbench.keypoints.found import Tips
 from surgbench.state import STATE_SIZE
 from surgbench.tasks.instrument.asked import Readings
 from surgbench.tasks.instrument.dataset import InstrumentDataset, InstrumentUnit, Sequence
@@ -110,6 +111,7 @@ class UnitData:
         return (View(view.camera, view.T_view_cam(kind)[frame], view.mask(kind, frame), keypoints=keypoints),)
 
 
-def _seen(keypoints: list[FloatArray], frame: int) -> tuple[FloatArray | None, ...]:
-    """Of each arm both tips of a frame, or ``None``."""
-    return tuple(None if np.isnan(arm[frame]).any() else arm[frame] for arm in keypoints)
+def _seen(keypoints: list[FloatArray], frame: int) -> Tips:
+    """Of each arm the tips of a frame: both, one where the other is not known, or ``None``."""
+    known = [arm[frame][~np.isnan(arm[frame]).any(axis=1)] for arm in keypoints]
+    return tuple(tips if len(tips) else None for tips in known)

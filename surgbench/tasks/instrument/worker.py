@@ -22,6 +22,8 @@ from surgbench.randomness import generator
 from surgbench.registry import create, find
 from surgbench.state import JOINTS, STATE_SIZE, clip_joints, split_arms
 from surgbench.suite.settings import Plug
+from surgbench.tasks.instrument.asked import Scored
+from surgbench.tasks.instrument.tips import AskedSource
 
 
 @dataclass(frozen=True)
@@ -33,6 +35,7 @@ class Setup:
         scene: The sequence's constants.
         tracker_axes: Named axes that seed the tracker's generator.
         initialiser_axes: Those of the initialiser; not the tracker, so that all trackers start alike.
+        scored: Which state is answered: the tracker's own, or what the filter makes of it.
     """
 
     tracker: Plug
@@ -42,16 +45,22 @@ class Setup:
     scene: Scene
     tracker_axes: dict[str, str | int]
     initialiser_axes: dict[str, str | int]
+    scored: Scored = "raw"
 
 
 @dataclass(frozen=True)
 class Answer:
-    """One frame's estimate and what it took; ``latency_filter_ms`` is the filter's ``predict`` and ``update``."""
+    """One frame's estimate and what it took.
+
+    ``latency_keypoints_ms`` is what the tracker waited for the keypoint source: 0 where it did not look at the tips. It
+    is not in ``latency_optimise_ms``. ``latency_filter_ms`` is the filter's ``predict`` and ``update``.
+    """
 
     start: FloatArray
     state: FloatArray
     confidence: float
     lost: bool
+    standard_deviations: FloatArray | None
     latency_ms: float
     latency_optimise_ms: float
     latency_keypoints_ms: float
@@ -90,6 +99,29 @@ def check_confidence(value: Any, who: str) -> float:
     return confidence
 
 
+def check_standard_deviations(value: Any, size: int, who: str) -> FloatArray | None:
+    """A plug-in's standard deviations as a ``(size,)`` array of finite numbers above 0; ``None`` stays ``None``.
+
+    Raises:
+        InvalidAnswerError: They are something else; one line that says what.
+    """
+    if value is None:
+        return None
+    try:
+        deviations = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InvalidAnswerError(
+            f"{who} returned standard deviations of {type(value).__name__}, not an array of {size} numbers"
+        ) from None
+    if deviations.shape != (size,):
+        raise InvalidAnswerError(f"{who} returned standard deviations of shape {deviations.shape}, not ({size},)")
+    if not np.isfinite(deviations).all():
+        raise InvalidAnswerError(f"{who} returned standard deviations with NaN or infinity")
+    if (deviations <= 0).any():
+        raise InvalidAnswerError(f"{who} returned a standard deviation of {deviations.min():g}, not above 0")
+    return deviations
+
+
 class Loop:
     """Predict, step, update over one sequence.
 
@@ -103,7 +135,7 @@ class Loop:
         self._size = STATE_SIZE * setup.scene.arms
         self._tracker = self._make(setup.tracker)
         self._filter = self._make(setup.filter)
-        self._keypoints = self._make(setup.keypoints)
+        self._keypoints = AskedSource(self._make(setup.keypoints), setup.keypoints.name)
 
     @staticmethod
     def _make(plug: Plug) -> Any:
@@ -115,9 +147,10 @@ class Loop:
         """State of the first frame by the initialiser, ``(9 * arms,)``, joints within their limits."""
         setup, scene = self._setup, self._scene
         self._keypoints.reset(scene)
-        observation = self._with_keypoints(observation)[0]
+        observation = self._keypoints.show(observation)
         initialiser = self._make(setup.initialiser)
-        state = initialiser.initialise(scene, observation, generator(**setup.initialiser_axes), truth, progress)
+        with self._keypoints.blamed():
+            state = initialiser.initialise(scene, observation, generator(**setup.initialiser_axes), truth, progress)
         return clip_joints(
             check_state(state, self._size, f"initialiser '{setup.initialiser.name}'"), scene.joint_limits
         )
@@ -135,8 +168,8 @@ class Loop:
             self._filter.give_truth(truth)
             state = clip_joints(truth[0], scene.joint_limits)
         self._keypoints.reset(scene)
-        observation = self._with_keypoints(observation)[0]
-        # Compilation and caches belong to nobody's latency.
+        # Compilation and caches belong to nobody's latency: the source is warmed up whether this step looks or not.
+        observation = self._keypoints.show(observation, at_once=True)
         warm = self._make(setup.tracker)
         warm.reset(scene, state.copy(), generator(**setup.tracker_axes))
         warm.step(replace(observation, start=state.copy()))
@@ -154,35 +187,36 @@ class Loop:
         if observation.joints is not None:
             split_arms(start)[:, JOINTS] = observation.joints
         start = clip_joints(start, self._scene.joint_limits)
-        observation, keypoints_s = self._with_keypoints(replace(observation, start=start.copy()))
+        self._keypoints.restart_clock()
+        observation = self._keypoints.show(replace(observation, start=start.copy()))
         if isinstance(self._tracker, Traceable):
             self._tracker.trace = trace
-        before = time.perf_counter()
-        answer = self._tracker.step(observation)
-        optimise_s = time.perf_counter() - before
+        before, waited_s = time.perf_counter(), self._keypoints.asked_s
+        with self._keypoints.blamed():
+            answer = self._tracker.step(observation)
+        optimise_s = time.perf_counter() - before - (self._keypoints.asked_s - waited_s)
         estimate = answer if isinstance(answer, Estimate) else Estimate(answer)
         state = check_state(estimate.state, self._size, f"tracker '{self._setup.tracker.name}'")
         confidence = check_confidence(estimate.confidence, f"tracker '{self._setup.tracker.name}'")
+        deviations = check_standard_deviations(
+            estimate.standard_deviations, self._size, f"tracker '{self._setup.tracker.name}'"
+        )
         before = time.perf_counter()
-        self._filter.update(state.copy())
+        filtered = self._filter.update(state.copy())
         filter_s += time.perf_counter() - before
+        if self._setup.scored == "filtered":
+            state = check_state(filtered, self._size, f"filter '{self._setup.filter.name}'")
         return Answer(
             start=start,
             state=state,
             confidence=confidence,
             lost=bool(estimate.lost),
+            standard_deviations=deviations,
             latency_ms=1e3 * (time.perf_counter() - begin),
             latency_optimise_ms=1e3 * optimise_s,
-            latency_keypoints_ms=1e3 * keypoints_s,
+            latency_keypoints_ms=1e3 * self._keypoints.asked_s,
             latency_filter_ms=1e3 * filter_s,
         )
-
-    def _with_keypoints(self, observation: Observation) -> tuple[Observation, float]:
-        begin = time.perf_counter()
-        views = tuple(
-            replace(view, keypoints=tuple(self._keypoints.detect(observation, view))) for view in observation.views
-        )
-        return replace(observation, views=views), time.perf_counter() - begin
 
 
 class Service:

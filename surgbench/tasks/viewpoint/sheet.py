@@ -84,7 +84,7 @@ def _no_traits(dataset: ViewpointDataset, sequence: str) -> Row:
 VIEWPOINT_SHEET = Sheet(
     columns=VIEWPOINT_COLUMNS,
     errors=ERRORS,
-    whole=(),
+    spreadless=(),
     counts=COUNTS,
     traits=(),
     no_difference={

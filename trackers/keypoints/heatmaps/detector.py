@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-import copy
 from dataclasses import dataclass
-from typing import Any
+from typing import Literal
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
-from torch import nn
-from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 from surgbench.contract import Mask
 from surgbench.geometry import FloatArray
-from surgbench.processes.torch_threads import one_thread
-from surgbench.trackers.keypoints.heatmaps.network import BasicBlock, HeatmapNetwork, NetworkSettings
-from surgbench.trackers.keypoints.heatmaps.peaks import TIPS, exactly_two, find_peaks
+from surgbench.trackers.keypoints.heatmaps.engines import EngineName, make_engine
+from surgbench.trackers.keypoints.heatmaps.network import HeatmapNetwork, NetworkSettings
+from surgbench.trackers.keypoints.heatmaps.peaks import TIPS, find_peaks
 from surgbench.trackers.keypoints.heatmaps.square import Square, find_square
 
 # A peak is doubtful between these shares of the heat that stands out. One mask in ten has one. The answers for the
@@ -53,6 +49,9 @@ class TipDetector:
         least_heat: What a peak must reach to stand out.
         apart_px: How near a hotter pixel may not be, pixels of the network's picture.
         device: Where the network is asked.
+        engine: What works it out there.
+        peaks: Of more than two peaks there is no pair (``two``), or the hottest two are one (``top``).
+        single_heat: What a peak that stands out alone must exceed to be an answer; 1: never.
     """
 
     def __init__(
@@ -62,9 +61,14 @@ class TipDetector:
         least_heat: float,
         apart_px: int,
         device: str = "cpu",
+        *,
+        engine: EngineName = "torch",
+        peaks: Literal["two", "top"] = "two",
+        single_heat: float = 1.0,
     ) -> None:
-        self._network = without_norms(network).to(device, memory_format=torch.channels_last)
-        self._size, self._least_heat, self._apart_px, self._device = settings.input_px, least_heat, apart_px, device
+        self._ask = make_engine(engine, network, settings, device)
+        self._size, self._least_heat, self._apart_px = settings.input_px, least_heat, apart_px
+        self._top, self._single_heat = peaks == "top", single_heat
 
     def look(self, mask: Mask) -> Look | None:
         """The heatmap of a mask ``(H, W)``; ``None`` where there is no instrument in it."""
@@ -72,20 +76,13 @@ class TipDetector:
         if square is None:
             return None
         picture = square.cut(mask, self._size)
-        with torch.inference_mode(), one_thread():
-            one = torch.from_numpy(picture).to(self._device)[None, None].float() / 255.0
-            logits = self._ask(one)
+        one = picture.astype(np.float32) / np.float32(255.0)
+        logits = self._ask(one)
+        peaks, heat = self._peaks(logits)
+        if self._in_doubt(heat):
+            logits = np.float32(0.5) * (logits + self._ask(one[:, ::-1])[:, ::-1])
             peaks, heat = self._peaks(logits)
-            if self._in_doubt(heat):
-                logits = 0.5 * (logits + self._ask(one.flip(-1))[:, ::-1])
-                peaks, heat = self._peaks(logits)
         return Look(square, picture, logits, peaks, heat)
-
-    def _ask(self, pictures: torch.Tensor) -> NDArray[np.float32]:
-        logits: NDArray[np.float32] = (
-            self._network(pictures.contiguous(memory_format=torch.channels_last))[0].cpu().numpy()
-        )
-        return logits
 
     def _peaks(self, logits: NDArray[np.float32]) -> tuple[FloatArray, FloatArray]:
         peaks: tuple[FloatArray, FloatArray] = find_peaks(logits, DOUBT[0] * self._least_heat, self._apart_px)
@@ -103,26 +100,11 @@ class TipDetector:
             self.detect(mask)
 
     def detect(self, mask: Mask) -> FloatArray | None:
-        """Tips ``(2, 2)`` as pixels (u, v) in no particular order; ``None`` where not exactly two stand out."""
+        """Tips as pixels (u, v) in no particular order, ``(2, 2)`` or ``(1, 2)``; ``None`` without."""
         look = self.look(mask)
         if look is None:
             return None
-        tips = exactly_two(look.peaks[look.heat >= self._least_heat])
-        return None if tips is None else look.square.to_image(tips, self._size)
-
-
-def without_norms(network: HeatmapNetwork) -> HeatmapNetwork:
-    """A copy whose normalisations are part of the convolutions before them: the same answers in less time."""
-    fused = copy.deepcopy(network).eval()
-    fused.stem = nn.Sequential(_fuse(fused.stem[0], fused.stem[1]), nn.ReLU())
-    for block in fused.modules():
-        if isinstance(block, BasicBlock):
-            block.first, block.first_norm = _fuse(block.first, block.first_norm), nn.Identity()
-            block.second, block.second_norm = _fuse(block.second, block.second_norm), nn.Identity()
-            if isinstance(block.short_cut, nn.Sequential):
-                block.short_cut = _fuse(block.short_cut[0], block.short_cut[1])
-    return fused
-
-
-def _fuse(convolution: Any, norm: Any) -> Any:
-    return fuse_conv_bn_eval(convolution, norm)
+        count = int((look.heat >= self._least_heat).sum())
+        if count == 0 or (count == 1 and look.heat[0] <= self._single_heat) or (count > TIPS and not self._top):
+            return None
+        return look.square.to_image(look.peaks[: min(count, TIPS)], self._size)

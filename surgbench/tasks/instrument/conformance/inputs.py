@@ -50,12 +50,20 @@ def lost_and_found(subject: Subject, alive: Alive) -> str:
 
 
 def no_keypoints(subject: Subject, alive: Alive) -> str:
-    """No tips at all, and tips in every other frame."""
+    """No tips at all, tips in every other frame, and one tip of each arm."""
     run_through(subject.make(), play_of(subject, keypoints=False), alive)
     play = play_of(subject)
     none = {frame.index: frame.mask for frame in play.observations[1::2]}
     run_through(subject.make(), play.with_masks(none), alive)
+    single = [_with_one_tip(frame) for frame in play.observations]
+    run_through(subject.make(), replace(play, observations=tuple(single)), alive)
     return ""
+
+
+def _with_one_tip(frame: Observation) -> Observation:
+    view = frame.views[0]
+    one = tuple(None if tips is None else tips[frame.index % len(tips)][None] for tips in view.tips)
+    return replace(frame, views=(replace(view, keypoints=one), *frame.views[1:]))
 
 
 def readings(subject: Subject, alive: Alive) -> str:
@@ -131,7 +139,7 @@ def _frame_arrays(observation: Observation | None) -> Iterator[tuple[str, NDArra
     view = observation.views[0]
     yield "the mask", view.mask
     yield "T_view_cam", view.T_view_cam
-    for arm, tips in enumerate(view.keypoints):
+    for arm, tips in enumerate(view.tips):
         if tips is not None:
             yield f"the keypoints of arm {arm}", tips
 

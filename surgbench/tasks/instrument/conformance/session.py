@@ -15,7 +15,7 @@ from surgbench.geometry import FloatArray
 from surgbench.randomness import generator
 from surgbench.state import JOINTS, STATE_SIZE, clip_joints, split_arms
 from surgbench.tasks.instrument.conformance.scenes import Play
-from surgbench.tasks.instrument.worker import check_confidence, check_state
+from surgbench.tasks.instrument.worker import check_confidence, check_standard_deviations, check_state
 
 
 @dataclass(frozen=True)
@@ -25,12 +25,18 @@ class Step:
     state: FloatArray
     confidence: float
     lost: bool
+    standard_deviations: FloatArray | None
     latency_s: float
 
     def same(self, other: Step) -> bool:
         """Whether two answers are equal to the last bit."""
         mine, theirs = (self.confidence, self.lost), (other.confidence, other.lost)
-        return mine == theirs and np.array_equal(self.state, other.state)
+        deviations = (self.standard_deviations, other.standard_deviations)
+        return mine == theirs and np.array_equal(self.state, other.state) and _same(*deviations)
+
+
+def _same(one: FloatArray | None, other: FloatArray | None) -> bool:
+    return one is other if one is None or other is None else np.array_equal(one, other)
 
 
 class Session:
@@ -76,8 +82,11 @@ class Session:
         confidence = check_confidence(estimate.confidence, f"frame {observation.index}: step")
         if not isinstance(estimate.lost, bool | np.bool_):
             raise CheckFailedError(f"frame {observation.index}: 'lost' is {type(estimate.lost).__name__}, not bool")
+        deviations = check_standard_deviations(
+            estimate.standard_deviations, len(state), f"frame {observation.index}: step"
+        )
         self.last = state
-        return Step(state, confidence, bool(estimate.lost), latency_s)
+        return Step(state, confidence, bool(estimate.lost), deviations, latency_s)
 
     def follow(self, observations: Iterable[Observation]) -> list[Step]:
         """Several frames."""
