@@ -100,7 +100,8 @@ class HybridTracker(InstrumentTracker):
         jaws: Annotated[float, Field(ge=0, le=1, description="share of a jaw unexplained above which it does")] = 0.35
         weak_jaws_rad: Annotated[
             NotNegative, Field(description="jaws known no better than so have tips looked for; 0: always")
-        ] = 0.02
+        ] = 0.1
+        misfit_px: Annotated[NotNegative, Field(description="so do edges that fit no better than so")] = 0.15
         samples: Annotated[int, Field(ge=0, description="states drawn in a search; 0: never search")] = 96
         generations: Annotated[int, Field(ge=0, description="of CMA-ES in a search")] = 3
         population: Annotated[int, Field(ge=4, description="samples of such a generation")] = 70
@@ -182,7 +183,11 @@ class HybridTracker(InstrumentTracker):
         belief, config = hypothesis.belief, self.config
         if self._begun:
             belief.predict()
-        tips = not self._begun or self._jaws_sd_rad(belief) > config.weak_jaws_rad
+        tips = (
+            not self._begun
+            or self._jaws_sd_rad(belief) > config.weak_jaws_rad
+            or self._fit.misfit_px > config.misfit_px
+        )
         if observation.joints is not None:
             belief.read_joints(observation.joints.ravel(), config.reading_noise_rad)
         starts = [clip_joints(belief.state, self._scene.joint_limits)]

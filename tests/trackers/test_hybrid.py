@@ -13,8 +13,9 @@ from hypothesis import strategies as st
 from support import observe, resting_state, scene_of
 
 from surgbench.camera import Camera
-from surgbench.contract import Mask, Observation, Scene
+from surgbench.contract import Mask, Observation, Scene, View
 from surgbench.geometry import FloatArray
+from surgbench.keypoints.found import FoundTips
 from surgbench.metrics import pose_errors
 from surgbench.silhouette import SilhouetteEvaluator
 from surgbench.state import BETA, JOINTS, STATE_SCALE, STATE_SIZE
@@ -390,6 +391,54 @@ def test_it_finds_back_from_a_jaw_that_slipped(camera: Camera) -> None:
     slipped[7], slipped[8] = slipped[7] - slipped[8], 0.0
     estimates, _ = follow(scene, states, slipped)
     assert errors_of(scene, estimates[-1], states[-1])["q3_error_rad"] < 0.02
+
+
+def asked_of(scene: Scene, states: FloatArray, config: HybridTracker.Config) -> list[int]:
+    """Frames in which a tracker that follows the true masks looks for tips; there are none to be found."""
+    evaluator = SilhouetteEvaluator(scene.instruments, scene.views[0].camera)
+    tracker, asked = HybridTracker(config), []
+    tracker.reset(scene, states[0], np.random.default_rng(0))
+    for index, state in enumerate(states):
+
+        def look(frame: int = index) -> tuple[None]:
+            asked.append(frame)
+            return (None,)
+
+        first = scene.views[0]
+        view = View(first.camera, first.T_view_cam, evaluator.mask(state), found=FoundTips(look))
+        tracker.step(Observation(index, index * scene.dt_s, (view,), start=state))
+    return asked
+
+
+@pytest.mark.slow
+def test_tips_are_looked_for_at_the_start_and_where_the_jaws_are_known_badly(camera: Camera) -> None:
+    scene, states = scene_of(camera), motion(12)
+    assert asked_of(scene, states, HybridTracker.Config()) == [0]
+    assert asked_of(scene, states, HybridTracker.Config(weak_jaws_rad=0)) == list(range(12))
+    slipped = states.copy()
+    slipped[6:, 7] += 0.9  # so that it searches
+    assert 6 in asked_of(scene, slipped, HybridTracker.Config())
+
+
+@pytest.mark.slow
+def test_the_truth_lies_within_what_it_states(camera: Camera) -> None:
+    """About as often as Gaussian numbers do, neither far less often nor always; a model error makes it state more."""
+    scene, states = scene_of(camera), motion(30)
+    evaluator = SilhouetteEvaluator(scene.instruments, camera)
+    stated = {}
+    for error in (0.0, 1.0):
+        tracker = HybridTracker(HybridTracker.Config(model_error=error))
+        tracker.reset(scene, states[0], np.random.default_rng(0))
+        answers = [
+            tracker.step(replace(seen(scene, evaluator.mask(state), index), start=state))
+            for index, state in enumerate(states)
+        ]
+        stated[error] = np.array([answer.standard_deviations for answer in answers])
+        off = np.abs(np.array([answer.state for answer in answers]) - states)
+        inside = (off < 1.645 * stated[error]).mean()
+        assert inside > 0.75
+    assert (stated[1.0] > stated[0.0]).all()
+    assert (stated[0.0] < 0.05).all()
 
 
 def test_it_waits_while_nothing_is_seen(camera: Camera) -> None:

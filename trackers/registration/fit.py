@@ -67,6 +67,11 @@ class ContourFit:
             other = SilhouetteEvaluator(scene.instruments, view.camera)
             self._views.append(ViewFit(scene.instruments, other, scale, config, calibrated=False))
 
+    @property
+    def misfit_px(self) -> float:
+        """What the reference view's edges were wrong by in the frames so far, beyond the pixel grid."""
+        return self._views[0].misfit_px
+
     def __call__(
         self,
         state: FloatArray,

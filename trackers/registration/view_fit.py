@@ -152,6 +152,11 @@ class ViewFit:
                 self._with_pose = A
         return Equations(A, b, explained_px, length_px)
 
+    @property
+    def misfit_px(self) -> float:
+        """What edges were wrong by in the frames so far beyond the pixel grid and the offset common to all."""
+        return float(np.sqrt(np.nan_to_num(self._excess[0])))
+
     def missed(self) -> tuple[FloatArray, FloatArray]:
         """Length of each link's contour, ``(arms, links)``, that had no edge in the last iteration; and all of it."""
         return missed_lengths(*self._seen, self.offset_px, JAW_PX, self._parts.shape)
