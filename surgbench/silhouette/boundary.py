@@ -408,7 +408,7 @@ def pull_back(links: Any, maps: Any, wrench: Any, gradient: Any) -> Any:
 @compiled
 def jacobians(
     row_found: int, found: int, spacing: int, state: Any, links: Any, mesh: Any, lens: Any, contour: Any, boundary: Any,
-    points: Any, normals: Any, lengths: Any, arms: Any, rates: Any,
+    points: Any, normals: Any, lengths: Any, arms: Any, own_links: Any, rates: Any,
 ) -> Any:  # fmt: skip
     """Place, outward normal, length and Jacobian of the displacement along the normal, for each crossing.
 
@@ -426,6 +426,7 @@ def jacobians(
         normals: ``(K, 2)``, filled.
         lengths: ``(K,)`` pixels of contour that each stands for, filled.
         arms: ``(K,)`` arm that each belongs to, filled.
+        own_links: ``(K,)`` link of that arm, filled.
         rates: ``(K, 9 * arms)`` pixels per radian or metre, filled.
     """
     map_links(state, links, contour.pose, boundary.maps)
@@ -443,6 +444,7 @@ def jacobians(
         i, j = edge_ends(n, mesh, contour)
         link = mesh.edge_link[contour.edge[n]]
         arms[k] = links.arm[link]
+        own_links[k] = link - links.first[link]
         zi, zj = max(contour.depth[i], lens.near), max(contour.depth[j], lens.near)
         a0, a1 = (contour.u0[n], contour.u1[n]) if across else (contour.v0[n], contour.v1[n])
         t = (line - a0) / (a1 - a0)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import operator
 import os
 import threading
@@ -147,6 +146,7 @@ class ContourPoints(NamedTuple):
         normals: ``(K, 2)`` float64, of unit length, out of the silhouette.
         lengths_px: ``(K,)`` float64, how much of the contour each stands for.
         arm: ``(K,)`` int64, the arm whose outline it is.
+        link: ``(K,)`` int64, which of that arm's links, in the instrument file's order.
         jacobian: ``(K, 9 * arms)`` float64: how far the contour moves along the normal, pixels per radian or metre.
     """
 
@@ -154,6 +154,7 @@ class ContourPoints(NamedTuple):
     normals: FloatArray
     lengths_px: FloatArray
     arm: NDArray[np.int64]
+    link: NDArray[np.int64]
     jacobian: FloatArray
 
 
@@ -408,16 +409,13 @@ class SilhouetteEvaluator:
             scratch = self._contours[0], self._scratch_boundary()
             found, layers = kernel.contour_points(one, spacing, *self._fixed, *scratch, *samples)
             if self._fits(layers) and found <= len(samples.arm):
-                places, normals, lengths, arm, rates = samples
-                taken = (places[:found], normals[:found], lengths[:found], arm[:found], rates[:found])
-                return ContourPoints(*copy.deepcopy(taken))
+                return ContourPoints(*(values[:found].copy() for values in samples))
             self._samples = self._room_for_samples(max(len(samples.arm), found))
 
     def _room_for_samples(self, count: int) -> ContourPoints:
         rates = np.empty((count, STATE_SIZE * len(self.instruments)))
-        return ContourPoints(
-            np.empty((count, 2)), np.empty((count, 2)), np.empty(count), np.empty(count, np.int64), rates
-        )
+        arm, link = np.empty(count, np.int64), np.empty(count, np.int64)
+        return ContourPoints(np.empty((count, 2)), np.empty((count, 2)), np.empty(count), arm, link, rates)
 
     def row_crossings(self, state: ArrayLike) -> RowCrossings:
         """Where the visible contour of one state ``(9 * arms,)`` crosses the centre lines of pixel rows."""

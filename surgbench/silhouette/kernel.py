@@ -104,7 +104,7 @@ def gradient(
 @compiled
 def contour_points(
     state: Any, spacing: int, links: Any, bodies: Any, mesh: Any, lens: Any, contour: Any, boundary: Any,
-    points: Any, normals: Any, lengths: Any, arms: Any, rates: Any,
+    points: Any, normals: Any, lengths: Any, arms: Any, own_links: Any, rates: Any,
 ) -> Any:  # fmt: skip
     """Sample the visible contour of one state with normals and Jacobians.
 
@@ -116,7 +116,7 @@ def contour_points(
     if found <= lengths.shape[0]:
         jacobians(
             row_found, found, spacing, state, links, mesh, lens, contour, boundary,
-            points, normals, lengths, arms, rates,
+            points, normals, lengths, arms, own_links, rates,
         )  # fmt: skip
     return found, layers
 

@@ -32,6 +32,7 @@ class Links(NamedTuple):
 
     parent: Starts  # (L,), -1 for the first link of an arm
     arm: Starts  # (L,)
+    first: Starts  # (L,) the first link of the same arm
     fixed: FloatArray  # (L, 3, 4)
     offset: FloatArray  # (L,)
     gain: FloatArray  # (L, 3)
@@ -106,6 +107,7 @@ def assemble_links(instruments: Sequence[Instrument]) -> Links:
     return Links(
         parent=np.concatenate(parents).astype(np.int64),
         arm=np.repeat(np.arange(len(instruments)), counts),
+        first=np.repeat(first, counts).astype(np.int64),
         fixed=np.ascontiguousarray(np.concatenate([i.fixed_transforms for i in instruments])[:, :3, :]),
         offset=np.concatenate([i.theta_offsets_rad for i in instruments]),
         gain=np.concatenate([i.theta_gains for i in instruments]),

@@ -328,6 +328,21 @@ def test_arms_apart_have_their_own_gradients() -> None:
         assert found.reshape(2, 9) == pytest.approx(expected, rel=1e-12)
 
 
+def test_contour_points_know_their_link() -> None:
+    """With two arms a link counts within its arm; a joint moves points of its own link and of those beyond it."""
+    left, right = resting_state(), resting_state()
+    left[3], right[3], right[2] = -0.02, 0.05, -0.8
+    points = SilhouetteEvaluator([LND, LND], HALF).contour_points(np.concatenate([left, right]))
+    for arm in (0, 1):
+        own = points.arm == arm
+        assert {"shaft", "wrist", "jaw_right", "jaw_left"} <= {LND.spec.links[k].name for k in set(points.link[own])}
+        pitched = points.jacobian.reshape(-1, 2, 9)[own, arm, 6] != 0
+        assert not pitched[points.link[own] == LND.link_index["shaft"]].any()
+        assert pitched[points.link[own] == LND.link_index["wrist"]].any()
+        jaw = points.jacobian.reshape(-1, 2, 9)[own, arm, 8] != 0
+        assert set(points.link[own][jaw]) == {LND.link_index["jaw_right"], LND.link_index["jaw_left"]}
+
+
 def test_a_gradient_depends_on_its_state_alone() -> None:
     """Not on the batch, the threads of the scores, nor on what the scratch was used for before."""
     instruments = [LND, LND]

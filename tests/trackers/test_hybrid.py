@@ -13,16 +13,32 @@ from hypothesis import strategies as st
 from support import observe, resting_state, scene_of
 
 from surgbench.camera import Camera
-from surgbench.contract import Mask, Observation, Scene
+from surgbench.contract import Mask, Observation, Scene, View
 from surgbench.geometry import FloatArray
+from surgbench.keypoints.found import FoundTips
 from surgbench.metrics import pose_errors
 from surgbench.silhouette import SilhouetteEvaluator
 from surgbench.state import BETA, JOINTS, STATE_SCALE, STATE_SIZE
 from surgbench.trackers.hybrid import HybridTracker
 from surgbench.trackers.registration.belief import MotionBelief
-from surgbench.trackers.registration.edges import explained_contour, explained_edge, find_edges
+from surgbench.trackers.registration.edges import (
+    explained_contour,
+    explained_edge,
+    find_edges,
+    missed_edge,
+    missed_lengths,
+)
 from surgbench.trackers.registration.fit import ContourFit, FitConfig, Prior
-from surgbench.trackers.registration.proposals import Move, best_of_each, jump_cost, propose, shift_to_mask
+from surgbench.trackers.registration.jaws import JawJudge
+from surgbench.trackers.registration.proposals import (
+    SWEPT,
+    Move,
+    best_of_each,
+    jump_cost,
+    propose,
+    shift_to_mask,
+    sweep_jaws,
+)
 
 NOTHING_KNOWN = np.full((STATE_SIZE, STATE_SIZE), 0.0) + 1e-9 * np.eye(STATE_SIZE)
 
@@ -79,6 +95,51 @@ def test_a_missing_jaw_is_an_unexplained_edge_and_an_unexplained_contour(camera:
     assert explained_contour(contour, find_edges(contour, mask, 10), 0.0, 2.0) > 0.99
     assert explained_contour(contour, find_edges(contour, other, 10), 0.0, 2.0) < 0.9
     assert explained_edge(np.zeros_like(mask), mask, 2) == 1.0
+
+
+def judged(scene: Scene, state: FloatArray, mask: Mask) -> float:
+    """Share of the jaws that a mask leaves unexplained of a state as it is."""
+    camera = scene.views[0].camera
+    evaluator = SilhouetteEvaluator(scene.instruments, camera)
+    contour = evaluator.contour_points(state, 1)
+    shape = scene.arms, len(scene.instruments[0].spec.links)
+    missed, length = missed_lengths(contour, find_edges(contour, mask, 14), 0.0, 2.0, shape)
+    assert length.sum() == pytest.approx(contour.lengths_px.sum())
+    edge = missed_edge(mask, evaluator.mask(state), 2, 2)
+    return JawJudge(scene.instruments, camera)(state, missed, length, edge)
+
+
+def test_jaws_are_judged_by_their_own_contour(camera: Camera) -> None:
+    """A jaw on the other one is a whole jaw missed, of either arm; one opened too far is as much; a right one is none.
+
+    What is wrong far from the jaws is not theirs.
+    """
+    scene, state = scene_of(camera), resting_state()
+    evaluator = SilhouetteEvaluator(scene.instruments, camera)
+    mask = evaluator.mask(state)
+    assert judged(scene, state, mask) < 0.05
+    for side in (-1.0, 1.0):
+        closed, open_ = state.copy(), state.copy()
+        closed[7], closed[8] = state[7] + side * state[8], 0.0
+        open_[7], open_[8] = state[7] + side * 0.25, state[8] + 0.25
+        assert judged(scene, closed, mask) > 0.5
+        assert judged(scene, open_, mask) > 0.5
+    speck = mask.copy()
+    speck[2:12, 2:12] = True
+    assert judged(scene, state, speck) < 0.05
+    assert judged(scene, state, np.zeros_like(mask)) == 1.0
+
+
+def test_the_worse_arm_is_judged(camera: Camera) -> None:
+    scene = scene_of(camera, arms=2)
+    pair = np.concatenate([resting_state(), resting_state()])
+    pair[[2, 11]], pair[[3, 12]] = [0.8, -0.8], [-0.02, 0.02]
+    mask = SilhouetteEvaluator(scene.instruments, camera).mask(pair)
+    assert judged(scene, pair, mask) < 0.05
+    for arm in (0, 9):
+        slipped = pair.copy()
+        slipped[arm + 7], slipped[arm + 8] = pair[arm + 7] - pair[arm + 8], 0.0
+        assert judged(scene, slipped, mask) > 0.5
 
 
 # --- fit
@@ -224,6 +285,20 @@ def test_with_two_arms_one_is_changed_at_a_time(camera: Camera) -> None:
     assert changed.any(axis=0).all()
 
 
+def test_a_sweep_leaves_one_jaw_where_it_is(camera: Camera) -> None:
+    scene = scene_of(camera, arms=2)
+    pair = np.concatenate([resting_state(), resting_state()])
+    swept = sweep_jaws(pair[None], scene.joint_limits).reshape(2, 2, SWEPT, 2, STATE_SIZE)
+    own = resting_state()
+    for arm in (0, 1):
+        assert (swept[arm, :, :, 1 - arm] == own).all()
+        for side, sign in ((0, -1), (1, 1)):
+            jaws = swept[arm, side, :, arm]
+            assert (jaws[:, :7] == own[:7]).all()
+            np.testing.assert_allclose(jaws[:, 7] + sign * jaws[:, 8], own[7] + sign * own[8])
+            assert np.ptp(jaws[:, 7] - sign * jaws[:, 8]) > 1.5
+
+
 def test_every_kind_of_move_has_its_turn() -> None:
     moves = np.array([0, 0, 0, 1, 1, 2])
     losses = np.array([1.0, 2.0, 3.0, 50.0, 40.0, 60.0])
@@ -287,6 +362,28 @@ def test_it_follows_to_tenths_of_a_millimetre(camera: Camera) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_a_jaw_in_the_mask_is_found_within_five_frames(camera: Camera, seed: int, side: float) -> None:
+    """Of a number of states, each with one jaw taken to lie on the other, both plainly seen."""
+    scene = scene_of(camera)
+    rng, plain = np.random.default_rng(100 + seed), 0
+    for _ in range(4):
+        states = motion(5) + rng.normal(0, 1, STATE_SIZE) * [0.1, 0.3, 0.1, 2e-3, 2e-3, 5e-3, 0.2, 0.2, 0.0]
+        slipped = states[0].copy()
+        slipped[7], slipped[8] = slipped[7] + side * slipped[8], 0.0
+        evaluator = SilhouetteEvaluator(scene.instruments, camera)
+        masks = [evaluator.mask(state) for state in states]
+        if judged(scene, slipped, masks[0]) < 0.5:  # edge-on, where the jaws lie on each other in the image
+            continue
+        plain += 1
+        estimates, _ = follow(scene, states, slipped, masks, seed)
+        errors = errors_of(scene, estimates[-1], states[-1])
+        assert max(errors["q2_error_rad"], errors["q3_error_rad"]) < 0.05, (side, states[0])
+    assert plain >= 2
+
+
+@pytest.mark.slow
 def test_it_finds_back_from_a_jaw_that_slipped(camera: Camera) -> None:
     """It begins with both jaws where only one is, which no small step mends."""
     scene, states = scene_of(camera), motion(15)
@@ -294,6 +391,54 @@ def test_it_finds_back_from_a_jaw_that_slipped(camera: Camera) -> None:
     slipped[7], slipped[8] = slipped[7] - slipped[8], 0.0
     estimates, _ = follow(scene, states, slipped)
     assert errors_of(scene, estimates[-1], states[-1])["q3_error_rad"] < 0.02
+
+
+def asked_of(scene: Scene, states: FloatArray, config: HybridTracker.Config) -> list[int]:
+    """Frames in which a tracker that follows the true masks looks for tips; there are none to be found."""
+    evaluator = SilhouetteEvaluator(scene.instruments, scene.views[0].camera)
+    tracker, asked = HybridTracker(config), []
+    tracker.reset(scene, states[0], np.random.default_rng(0))
+    for index, state in enumerate(states):
+
+        def look(frame: int = index) -> tuple[None]:
+            asked.append(frame)
+            return (None,)
+
+        first = scene.views[0]
+        view = View(first.camera, first.T_view_cam, evaluator.mask(state), found=FoundTips(look))
+        tracker.step(Observation(index, index * scene.dt_s, (view,), start=state))
+    return asked
+
+
+@pytest.mark.slow
+def test_tips_are_looked_for_at_the_start_and_where_the_jaws_are_known_badly(camera: Camera) -> None:
+    scene, states = scene_of(camera), motion(12)
+    assert asked_of(scene, states, HybridTracker.Config()) == [0]
+    assert asked_of(scene, states, HybridTracker.Config(weak_jaws_rad=0)) == list(range(12))
+    slipped = states.copy()
+    slipped[6:, 7] += 0.9  # so that it searches
+    assert 6 in asked_of(scene, slipped, HybridTracker.Config())
+
+
+@pytest.mark.slow
+def test_the_truth_lies_within_what_it_states(camera: Camera) -> None:
+    """About as often as Gaussian numbers do, neither far less often nor always; a model error makes it state more."""
+    scene, states = scene_of(camera), motion(30)
+    evaluator = SilhouetteEvaluator(scene.instruments, camera)
+    stated = {}
+    for error in (0.0, 1.0):
+        tracker = HybridTracker(HybridTracker.Config(model_error=error))
+        tracker.reset(scene, states[0], np.random.default_rng(0))
+        answers = [
+            tracker.step(replace(seen(scene, evaluator.mask(state), index), start=state))
+            for index, state in enumerate(states)
+        ]
+        stated[error] = np.array([answer.standard_deviations for answer in answers])
+        off = np.abs(np.array([answer.state for answer in answers]) - states)
+        inside = (off < 1.645 * stated[error]).mean()
+        assert inside > 0.75
+    assert (stated[1.0] > stated[0.0]).all()
+    assert (stated[0.0] < 0.05).all()
 
 
 def test_it_waits_while_nothing_is_seen(camera: Camera) -> None:

@@ -7,11 +7,12 @@ own sense; the edge lies midway, right to a small part of a pixel on average ove
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from surgbench.contract import Mask
 from surgbench.geometry import FloatArray
@@ -125,26 +126,59 @@ def explained_lengths(
     return float(contour.lengths_px[near].sum()), float(contour.lengths_px.sum())
 
 
+def missed_lengths(
+    contour: ContourPoints, offsets_px: FloatArray, common_px: float, tolerance_px: float, shape: tuple[int, int]
+) -> tuple[FloatArray, FloatArray]:
+    """Length of each link's contour that has no observed edge within a tolerance, and all of it.
+
+    Args:
+        contour: K points.
+        offsets_px: ``(K,)`` of :func:`find_edges`.
+        common_px: Offset common to all edges.
+        tolerance_px: How near an edge has to be.
+        shape: ``(arms, links)``.
+
+    Returns:
+        Two arrays of that shape, pixels.
+    """
+    owner = contour.arm * shape[1] + contour.link
+    count = shape[0] * shape[1]
+    missed = ~(np.abs(offsets_px - common_px) <= tolerance_px)  # true for NaN
+    of_missed = np.bincount(owner[missed], contour.lengths_px[missed], count)
+    return of_missed.reshape(shape), np.bincount(owner, contour.lengths_px, count).reshape(shape)
+
+
 def explained_contour(contour: ContourPoints, offsets_px: FloatArray, common_px: float, tolerance_px: float) -> float:
     """Share of the predicted contour's length that has an observed edge within a tolerance; 1 for no contour."""
     near, total = explained_lengths(contour, offsets_px, common_px, tolerance_px)
     return near / total if total > 0 else 1.0
 
 
-def explained_edge(mask: Mask, silhouette: Mask, tolerance_px: int) -> float:
-    """Share of the observed mask's edge pixels that lie near an edge of a silhouette; 1 for an empty mask.
+class MissedEdge(NamedTuple):
+    """What of an observed mask's edge lies near no edge of a silhouette.
 
-    The image's border is no edge.
+    Attributes:
+        explained: Share of the edge's pixels that do; 1 for an empty mask.
+        places_px: ``(K, 2)`` column and row of those that lie farther off than the wider tolerance.
+    """
+
+    explained: float
+    places_px: FloatArray
+
+
+def missed_edge(mask: Mask, silhouette: Mask, tolerance_px: int, wider_px: int) -> MissedEdge:
+    """Hold the edge of an observed mask against that of a silhouette. The image's border is no edge.
 
     Args:
         mask: ``(H, W)`` observed.
         silhouette: ``(H, W)`` predicted.
         tolerance_px: How near, in rows and columns.
+        wider_px: How near for an edge not to be told with its place.
     """
     left, top, width, height = cv2.boundingRect(mask.view(np.uint8))
     if not width:
-        return 1.0
-    margin = tolerance_px + 1
+        return MissedEdge(1.0, np.zeros((0, 2)))
+    margin = max(tolerance_px, wider_px) + 1
     around = (
         slice(max(top - margin, 0), top + height + margin),
         slice(max(left - margin, 0), left + width + margin),
@@ -152,7 +186,23 @@ def explained_edge(mask: Mask, silhouette: Mask, tolerance_px: int) -> float:
     seen = np.ascontiguousarray(mask[around]).view(np.uint8)
     edge = seen > cv2.erode(seen, np.ones((3, 3), np.uint8))
     ours = np.ascontiguousarray(silhouette[around]).view(np.uint8)
-    square = np.ones((2 * tolerance_px + 1, 2 * tolerance_px + 1), np.uint8)
-    near = np.asarray(cv2.dilate(ours, square) > cv2.erode(ours, square))
     count = int(np.count_nonzero(edge))
-    return np.count_nonzero(edge & near) / count if count else 1.0
+    if not count:
+        return MissedEdge(1.0, np.zeros((0, 2)))
+    missed = edge & ~_near_an_edge(ours, tolerance_px)
+    explained = 1.0 - np.count_nonzero(missed) / count
+    far = missed if wider_px == tolerance_px else missed & ~_near_an_edge(ours, wider_px)
+    found = cv2.findNonZero(far.view(np.uint8))
+    origin = [around[1].start, around[0].start]
+    places = np.zeros((0, 2)) if found is None else found.reshape(-1, 2) + np.array(origin, dtype=np.float64)
+    return MissedEdge(explained, places)
+
+
+def _near_an_edge(silhouette: NDArray[np.uint8], tolerance_px: int) -> Mask:
+    square = np.ones((2 * tolerance_px + 1, 2 * tolerance_px + 1), np.uint8)
+    return np.asarray(cv2.dilate(silhouette, square) > cv2.erode(silhouette, square))
+
+
+def explained_edge(mask: Mask, silhouette: Mask, tolerance_px: int) -> float:
+    """Share of the observed mask's edge pixels that lie near an edge of a silhouette; 1 for an empty mask."""
+    return missed_edge(mask, silhouette, tolerance_px, tolerance_px).explained

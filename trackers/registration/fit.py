@@ -27,12 +27,16 @@ class Fit(NamedTuple):
         information: ``(n, n)`` what the frame says of the state, natural steps, without the prior.
         offset_px: Of all edges of the reference view together: above 0 where its mask is dilated.
         explained: Share of the predicted contours that have an observed edge.
+        missed_px: ``(arms, links)`` length of each link's contour in the reference view that has no observed edge.
+        length_px: ``(arms, links)`` all of it.
     """
 
     state: FloatArray
     information: FloatArray
     offset_px: float
     explained: float
+    missed_px: FloatArray
+    length_px: FloatArray
 
 
 @dataclass(frozen=True)
@@ -63,6 +67,11 @@ class ContourFit:
             other = SilhouetteEvaluator(scene.instruments, view.camera)
             self._views.append(ViewFit(scene.instruments, other, scale, config, calibrated=False))
 
+    @property
+    def misfit_px(self) -> float:
+        """What the reference view's edges were wrong by in the frames so far, beyond the pixel grid."""
+        return self._views[0].misfit_px
+
     def __call__(
         self,
         state: FloatArray,
@@ -85,7 +94,7 @@ class ContourFit:
         """
         config, scale = self._config, self._scale
         n = len(state)
-        fit = Fit(state, np.zeros((n, n)), 0.0, 1.0)
+        fit = Fit(state, np.zeros((n, n)), 0.0, 1.0, np.zeros((0, 0)), np.zeros((0, 0)))
         # Of a frame's fits the first is that of the story that was the best so far.
         first, self._frame = observation.index != self._frame, observation.index
         for own, view in zip(self._views, observation.views, strict=True):
@@ -105,10 +114,11 @@ class ContourFit:
             moved = clip_joints(fit.state + step * scale, self._limits)
             total = sum(part.length_px for part in parts)
             explained = sum(part.explained_px for part in parts) / total if total > 0 else 0.0
-            fit = Fit(moved, information, self._views[0].offset_px, explained)
+            fit = fit._replace(state=moved, information=information, explained=explained)
             if longest < SETTLED:
                 break
         if first:
             for own, part in zip(self._views, parts, strict=True):
                 own.learn(information + prior.information - part.information)
-        return fit
+        missed_px, length_px = self._views[0].missed()
+        return fit._replace(offset_px=self._views[0].offset_px, missed_px=missed_px, length_px=length_px)

@@ -17,6 +17,7 @@ from surgbench.state import BETA, JOINTS, POSITION, STATE_SIZE, JointLimits, spl
 NEAR = np.array([0.01, 0.15, 0.01, 2e-4, 2e-4, 1e-3, 0.1, 0.1, 0.1])
 WIDEST_ROLL_RAD = 1.6  # beyond a quarter turn the twin is nearer
 WIDEST_JAW_RAD = 1.0
+SWEPT = 16  # places of a jaw in a sweep
 # What a jump of each component counts as: beyond it, ever less for each further step.
 JUMP = np.array([0.03, 0.1, 0.03, 2e-3, 2e-3, 4e-3, 0.1, 0.1, 0.1])
 
@@ -29,6 +30,7 @@ class Move(IntEnum):
     JOINTS = 2  # all joints anew
     BOTH = 3  # turned, and all joints anew
     NEAR = 4  # a little in everything
+    SWEEP = 5  # one jaw exactly where it is, the other at every place in turn
 
 
 MOVES = (Move.TURN, Move.JAW, Move.TURN, Move.JOINTS, Move.JAW, Move.BOTH, Move.TURN, Move.JAW, Move.JOINTS, Move.NEAR)
@@ -73,6 +75,35 @@ def propose(
     one[:, JOINTS] = np.clip(one[:, JOINTS], lower, upper)
     arms[np.arange(count), arm] = one
     return drawn, moves
+
+
+def sweep_jaws(states: FloatArray, limits: JointLimits) -> FloatArray:
+    """States in which one jaw stays exactly where it is and the other is at every place in turn.
+
+    What a jaw that lies on the other one needs; unlike what is drawn, it is the same whatever the seed.
+
+    Args:
+        states: ``(m, 9 * arms)`` to begin with.
+        limits: Of the joints, per arm.
+
+    Returns:
+        ``(m * arms * 2 * SWEPT, 9 * arms)``.
+    """
+    swept = []
+    count = states.shape[1] // STATE_SIZE
+    for state in states:
+        for arm in range(count):
+            yaw, half = state[arm * STATE_SIZE + JOINTS.start + 1], state[arm * STATE_SIZE + JOINTS.start + 2]
+            lower, upper = limits.lower_rad[arm], limits.upper_rad[arm]
+            opening = np.linspace(0.0, 2.0 * min(upper[2], WIDEST_JAW_RAD), SWEPT)
+            for side in (-1.0, 1.0):
+                # The jaws stand at yaw - half and yaw + half; that one stays.
+                some: FloatArray = np.tile(state, (SWEPT, 1))
+                joints = some[:, arm * STATE_SIZE :][:, JOINTS]
+                joints[:, 1], joints[:, 2] = yaw + side * (half - opening / 2.0), opening / 2.0
+                joints[:] = np.clip(joints, lower, upper)
+                swept.append(some)
+    return np.concatenate(swept)
 
 
 def best_of_each(losses: FloatArray, moves: NDArray[np.intp], count: int) -> NDArray[np.intp]:

@@ -15,7 +15,8 @@ from surgbench.geometry import FloatArray, rigid_transform, rotation_from_vector
 from surgbench.instrument import Instrument
 from surgbench.silhouette import ContourPoints, KeypointProjector, SilhouetteEvaluator
 from surgbench.state import ANGLES, POSITION, STATE_SIZE, split_arms
-from surgbench.trackers.registration.edges import explained_lengths, find_edges, normal_equations
+from surgbench.trackers.registration.edges import explained_lengths, find_edges, missed_lengths, normal_equations
+from surgbench.trackers.registration.parts import Parts
 
 FEWEST_POINTS = 8
 MEDIAN_TO_SD = 1.4826  # standard deviation over median of absolute deviations, of Gaussian numbers
@@ -23,6 +24,7 @@ MEMORY = 0.9  # of how wrong edges are, from frame to frame
 TIP_WIDTH = 3.0  # standard deviations of a tip beyond which it counts ever less
 NARROWING = 0.6  # of the robust width, from one iteration to the next
 EXPLAINED_PX = 2.0
+JAW_PX = 3.0  # jaws of real instruments are thicker or thinner than ours by as much
 
 
 class FitConfig(Section):
@@ -95,14 +97,16 @@ class ViewFit:
         self._evaluator = evaluator
         self._projector = KeypointProjector(instruments, evaluator.camera)
         self._size = len(scale)
+        self._parts = Parts(instruments)
         self._config = config
         self._calibrated = calibrated
         self._scale = scale if calibrated else np.concatenate([scale, CALIBRATION])
         # What the pose is wrong by, in CALIBRATION's units: what is known before a frame, and after its first fit.
         self._known = self._learned = np.zeros(6), np.eye(6)
-        # Variance of edges beyond that of edges that fit, px²: over the frames so far, and in this one.
-        self._excess: float | None = None
-        self._seen_excess: float | None = None
+        # Variance of edges beyond that of edges that fit, px², of all edges and of the wrists': over the frames so far,
+        # and in this one; NaN where unknown.
+        self._excess: FloatArray = np.full(2, np.nan)
+        self._seen_excess = self._excess
 
     def next_frame(self) -> None:
         """What was learned in the last frame is known in the next, but for what has changed since."""
@@ -115,7 +119,7 @@ class ViewFit:
         self._with_tips = tips
         self.offset_px = 0.0
         self._width: float | None = None
-        self._seen_excess = None
+        self._seen_excess = np.full(2, np.nan)
         self._place(np.zeros(0) if self._calibrated else self._known[0])
 
     def _place(self, pose: FloatArray) -> None:
@@ -148,6 +152,15 @@ class ViewFit:
                 self._with_pose = A
         return Equations(A, b, explained_px, length_px)
 
+    @property
+    def misfit_px(self) -> float:
+        """What edges were wrong by in the frames so far beyond the pixel grid and the offset common to all."""
+        return float(np.sqrt(np.nan_to_num(self._excess[0])))
+
+    def missed(self) -> tuple[FloatArray, FloatArray]:
+        """Length of each link's contour, ``(arms, links)``, that had no edge in the last iteration; and all of it."""
+        return missed_lengths(*self._seen, self.offset_px, JAW_PX, self._parts.shape)
+
     def follow(self, step: FloatArray) -> None:
         """Adjust the view's own unknowns to the ``(n,)`` step that all views together ask for."""
         for row, right, pivot in reversed(self._eliminated):
@@ -164,9 +177,8 @@ class ViewFit:
         Args:
             others: ``(n, n)`` what is known of the state from elsewhere, natural steps.
         """
-        if self._seen_excess is not None:
-            before = self._seen_excess if self._excess is None else self._excess
-            self._excess = MEMORY * before + (1.0 - MEMORY) * self._seen_excess
+        before = _first_known(self._excess, self._seen_excess)
+        self._excess = MEMORY * before + (1.0 - MEMORY) * _first_known(self._seen_excess, before)
         if self._calibrated:
             return
         A, n = self._with_pose, self._size
@@ -191,6 +203,7 @@ class ViewFit:
         """Normal equations of the edges, and which length of the contour is explained, of which length."""
         config = self._config
         offsets = find_edges(contour, self._view.mask, config.reach_px)
+        self._seen = contour, offsets
         found = offsets[~np.isnan(offsets)]
         if len(found) < FEWEST_POINTS:
             size = len(self._scale) + 1
@@ -198,14 +211,25 @@ class ViewFit:
             return np.zeros((size, size)), np.zeros(size), 0.0, float(contour.lengths_px.sum())
         if self._width is None:
             self._width = max(config.width_px, 2.0 * MEDIAN_TO_SD * float(np.median(np.abs(found))))
-        A, b = normal_equations(offsets, contour, self._scale, self._width)
         # What edges are wrong by beyond the pixel grid (the instrument is not quite this one, a segmentation cuts
-        # corners) is much the same along a part: as if every pixel told of it anew, it would outvote all else.
+        # corners) is much the same along a part: as if every pixel told of it anew, it would outvote all else. A real
+        # wrist differs from the modelled one most of all, and on one side, and would bend the joints to it.
+        wrist = self._parts.on_wrist(contour)
+        self._seen_excess = np.array([self._excess_of(found), self._excess_of(offsets[wrist])])
+        whole, wrists = _first_known(self._excess, self._seen_excess)
+        variance = config.edge_px**2 + config.alike_px * np.where(wrist, np.fmax(whole, wrists), whole)
+        A, b = normal_equations(
+            offsets, contour._replace(lengths_px=contour.lengths_px / variance), self._scale, self._width
+        )
+        return A, b, *explained_lengths(contour, offsets, self.offset_px, EXPLAINED_PX)
+
+    def _excess_of(self, offsets: FloatArray) -> float:
+        """Variance of some edges beyond that of edges that fit, px²; NaN where there are few."""
+        found = offsets[~np.isnan(offsets)]
+        if len(found) < FEWEST_POINTS:
+            return float("nan")
         spread = MEDIAN_TO_SD * float(np.median(np.abs(found - np.median(found))))
-        self._seen_excess = max(spread**2 - config.fits_px**2, 0.0)
-        excess = self._seen_excess if self._excess is None else self._excess
-        variance = config.edge_px**2 + config.alike_px * excess
-        return A / variance, b / variance, *explained_lengths(contour, offsets, self.offset_px, EXPLAINED_PX)
+        return max(spread**2 - self._config.fits_px**2, 0.0)
 
     def _add_tips(self, A: FloatArray, b: FloatArray, state: FloatArray, own: FloatArray) -> None:
         """Add the tips' part to the normal equations, in place."""
@@ -229,6 +253,10 @@ class ViewFit:
             weight = share.repeat(2) / (sd * (1.0 + (distance / (TIP_WIDTH * sd)) ** 2)) ** 2
             A[:size, :size] += (J * weight[:, None]).T @ J
             b[:size] += (J * weight[:, None]).T @ off.reshape(4)
+
+
+def _first_known(values: FloatArray, others: FloatArray) -> FloatArray:
+    return np.where(np.isnan(values), others, values)
 
 
 def _offsets(seen: FloatArray, projected: FloatArray, width_px: float) -> tuple[FloatArray, FloatArray]:
