@@ -19,6 +19,7 @@ from pydantic import Field
 from surgbench.config import NotNegative, Positive, Section
 from surgbench.contract import Estimate, InstrumentTracker, Observation, Scene, Trace
 from surgbench.geometry import FloatArray
+from surgbench.metrics import OUT_OF_VIEW_SHARE
 from surgbench.objective import LossWeights, Objective
 from surgbench.silhouette import SilhouetteEvaluator
 from surgbench.state import JOINTS, STATE_SCALE, STATE_SIZE, StateSpace, clip_joints
@@ -175,7 +176,8 @@ class HybridTracker(InstrumentTracker):
         return Estimate(
             best.state,
             confidence=float(best.iou),
-            lost=bool(best.iou < config.lost_iou),
+            # With next to nothing in the mask the best state is one out of the picture, and that overlaps perfectly.
+            lost=bool(best.iou < config.lost_iou or observation.mask.mean() < OUT_OF_VIEW_SHARE),
             standard_deviations=self._stated(best.belief),
         )
 

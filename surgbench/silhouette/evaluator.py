@@ -409,7 +409,7 @@ class SilhouetteEvaluator:
             scratch = self._contours[0], self._scratch_boundary()
             found, layers = kernel.contour_points(one, spacing, *self._fixed, *scratch, *samples)
             if self._fits(layers) and found <= len(samples.arm):
-                return ContourPoints(*(values[:found].copy() for values in samples))
+                return ContourPoints._make(values[:found].copy() for values in samples)
             self._samples = self._room_for_samples(max(len(samples.arm), found))
 
     def _room_for_samples(self, count: int) -> ContourPoints:

@@ -106,7 +106,8 @@ def judged(scene: Scene, state: FloatArray, mask: Mask) -> float:
     missed, length = missed_lengths(contour, find_edges(contour, mask, 14), 0.0, 2.0, shape)
     assert length.sum() == pytest.approx(contour.lengths_px.sum())
     edge = missed_edge(mask, evaluator.mask(state), 2, 2)
-    return JawJudge(scene.instruments, camera)(state, missed, length, edge)
+    share: float = JawJudge(scene.instruments, camera)(state, missed, length, edge)
+    return share
 
 
 def test_jaws_are_judged_by_their_own_contour(camera: Camera) -> None:

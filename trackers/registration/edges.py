@@ -144,8 +144,12 @@ def missed_lengths(
     owner = contour.arm * shape[1] + contour.link
     count = shape[0] * shape[1]
     missed = ~(np.abs(offsets_px - common_px) <= tolerance_px)  # true for NaN
-    of_missed = np.bincount(owner[missed], contour.lengths_px[missed], count)
-    return of_missed.reshape(shape), np.bincount(owner, contour.lengths_px, count).reshape(shape)
+    lengths = (
+        np.bincount(owner[missed], contour.lengths_px[missed], count),
+        np.bincount(owner, contour.lengths_px, count),
+    )
+    of_missed, of_all = (np.asarray(length, dtype=np.float64).reshape(shape) for length in lengths)
+    return of_missed, of_all
 
 
 def explained_contour(contour: ContourPoints, offsets_px: FloatArray, common_px: float, tolerance_px: float) -> float:
@@ -193,8 +197,8 @@ def missed_edge(mask: Mask, silhouette: Mask, tolerance_px: int, wider_px: int) 
     explained = 1.0 - np.count_nonzero(missed) / count
     far = missed if wider_px == tolerance_px else missed & ~_near_an_edge(ours, wider_px)
     found = cv2.findNonZero(far.view(np.uint8))
-    origin = [around[1].start, around[0].start]
-    places = np.zeros((0, 2)) if found is None else found.reshape(-1, 2) + np.array(origin, dtype=np.float64)
+    origin = np.array([around[1].start, around[0].start], dtype=np.float64)
+    places = np.zeros((0, 2)) if found is None else np.asarray(found, dtype=np.float64).reshape(-1, 2) + origin
     return MissedEdge(explained, places)
 
 

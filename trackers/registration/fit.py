@@ -70,7 +70,8 @@ class ContourFit:
     @property
     def misfit_px(self) -> float:
         """What the reference view's edges were wrong by in the frames so far, beyond the pixel grid."""
-        return self._views[0].misfit_px
+        misfit_px: float = self._views[0].misfit_px
+        return misfit_px
 
     def __call__(
         self,

@@ -159,7 +159,8 @@ class ViewFit:
 
     def missed(self) -> tuple[FloatArray, FloatArray]:
         """Length of each link's contour, ``(arms, links)``, that had no edge in the last iteration; and all of it."""
-        return missed_lengths(*self._seen, self.offset_px, JAW_PX, self._parts.shape)
+        missed: tuple[FloatArray, FloatArray] = missed_lengths(*self._seen, self.offset_px, JAW_PX, self._parts.shape)
+        return missed
 
     def follow(self, step: FloatArray) -> None:
         """Adjust the view's own unknowns to the ``(n,)`` step that all views together ask for."""
