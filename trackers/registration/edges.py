@@ -74,6 +74,21 @@ def find_edges(contour: ContourPoints, mask: Mask, reach_px: int) -> FloatArray:
 
 
 @_compiled
+def median_size(offsets: Any) -> float:
+    """Median of the sizes of offsets ``(K,)``; those that are NaN do not count, and there must be others."""
+    return float(np.median(np.abs(offsets[~np.isnan(offsets)])))
+
+
+@_compiled
+def deviation(offsets: Any, fewest: int) -> float:
+    """Median of absolute deviations from the median of ``(K,)`` offsets but for NaN; NaN where these are too few."""
+    found = offsets[~np.isnan(offsets)]
+    if len(found) < fewest:
+        return np.nan
+    return float(np.median(np.abs(found - np.median(found))))
+
+
+@_compiled
 def _accumulate(offsets: Any, lengths: Any, jacobian: Any, scale: Any, width: float, A: Any, b: Any) -> None:
     size = jacobian.shape[1]
     row = np.empty(size + 1)

@@ -15,7 +15,14 @@ from surgbench.geometry import FloatArray, rigid_transform, rotation_from_vector
 from surgbench.instrument import Instrument
 from surgbench.silhouette import ContourPoints, KeypointProjector, SilhouetteEvaluator
 from surgbench.state import ANGLES, POSITION, STATE_SIZE, split_arms
-from surgbench.trackers.registration.edges import explained_lengths, find_edges, missed_lengths, normal_equations
+from surgbench.trackers.registration.edges import (
+    deviation,
+    explained_lengths,
+    find_edges,
+    median_size,
+    missed_lengths,
+    normal_equations,
+)
 from surgbench.trackers.registration.parts import Parts
 
 FEWEST_POINTS = 8
@@ -205,18 +212,17 @@ class ViewFit:
         config = self._config
         offsets = find_edges(contour, self._view.mask, config.reach_px)
         self._seen = contour, offsets
-        found = offsets[~np.isnan(offsets)]
-        if len(found) < FEWEST_POINTS:
+        if np.count_nonzero(~np.isnan(offsets)) < FEWEST_POINTS:
             size = len(self._scale) + 1
             self._width = config.width_px
             return np.zeros((size, size)), np.zeros(size), 0.0, float(contour.lengths_px.sum())
         if self._width is None:
-            self._width = max(config.width_px, 2.0 * MEDIAN_TO_SD * float(np.median(np.abs(found))))
+            self._width = max(config.width_px, 2.0 * MEDIAN_TO_SD * median_size(offsets))
         # What edges are wrong by beyond the pixel grid (the instrument is not quite this one, a segmentation cuts
         # corners) is much the same along a part: as if every pixel told of it anew, it would outvote all else. A real
         # wrist differs from the modelled one most of all, and on one side, and would bend the joints to it.
         wrist = self._parts.on_wrist(contour)
-        self._seen_excess = np.array([self._excess_of(found), self._excess_of(offsets[wrist])])
+        self._seen_excess = np.array([self._excess_of(offsets), self._excess_of(offsets[wrist])])
         whole, wrists = _first_known(self._excess, self._seen_excess)
         variance = config.edge_px**2 + config.alike_px * np.where(wrist, np.fmax(whole, wrists), whole)
         A, b = normal_equations(
@@ -226,11 +232,8 @@ class ViewFit:
 
     def _excess_of(self, offsets: FloatArray) -> float:
         """Variance of some edges beyond that of edges that fit, px²; NaN where there are few."""
-        found = offsets[~np.isnan(offsets)]
-        if len(found) < FEWEST_POINTS:
-            return float("nan")
-        spread = MEDIAN_TO_SD * float(np.median(np.abs(found - np.median(found))))
-        return max(spread**2 - self._config.fits_px**2, 0.0)
+        spread: float = MEDIAN_TO_SD * deviation(offsets, FEWEST_POINTS)
+        return spread if np.isnan(spread) else max(spread**2 - self._config.fits_px**2, 0.0)
 
     def _add_tips(self, A: FloatArray, b: FloatArray, state: FloatArray, own: FloatArray) -> None:
         """Add the tips' part to the normal equations, in place."""
