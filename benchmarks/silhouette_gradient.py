@@ -47,7 +47,7 @@ from surgbench.state import ALPHA, ANGLES, GAMMA, POSITION, StateSpace
 from surgbench.suite.environment import environment
 from surgbench.tasks.instrument.format import Arm
 
-PRESET = load_preset("paper")
+PRESET = load_preset("paper-wide")
 CAMERA = PRESET.camera
 INSTRUMENT = load_instrument(PRESET.instrument)
 COSINE, LENGTH = 0.999, 0.01
