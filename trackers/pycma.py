@@ -48,10 +48,7 @@ class PycmaTracker(SamplingTracker):
         self._package_options = {
             "popsize": config.population,
             "CMA_mu": elites,
-            # The weights of the package sum to 1; those of the best samples of half the population do not.
-            "CMA_cmean": config.mean_rate
-            * float(kept)
-            * float(released_settings(1, config.population, elites=elites).mean_weights.sum()),
+            "CMA_cmean": config.mean_rate * float(kept),
             "CMA_rankmu": _rank_mu_factor(config.covariance_rate, config.population, elites),
             "CMA_active": False,  # with a raised c_mu negative weights make negative eigenvalues
             "CMA_mirrors": 0,
