@@ -7,7 +7,7 @@ from typing import Protocol
 import numpy as np
 
 from surgbench.generators.place import BoolArray, Place
-from surgbench.generators.presets import Motion
+from surgbench.generators.presets import Half, Motion
 from surgbench.geometry import (
     FloatArray,
     inverse_transform,
@@ -69,9 +69,9 @@ class Coordinates(Protocol):
 class FreePose:
     """States themselves, beta unwrapped: the instrument moves as it likes."""
 
-    def __init__(self, place: Place, motion: Motion, speed: str) -> None:
+    def __init__(self, place: Place, motion: Motion, half: Half) -> None:
         self.place = place
-        step = motion.longest_step(speed)
+        step = motion.longest_step(half)
         self._longest_m = step.position_m
         self._bounds = np.array(
             [step.tilt_rad, step.roll_rad, step.tilt_rad, *[np.inf] * 3, step.wrist_rad, step.wrist_rad, step.jaw_rad]
@@ -115,15 +115,15 @@ class ArmJoints:
     Args:
         place: Where the arm may be.
         motion: Steps and perturbation.
-        speed: ``nominal`` or ``fast``.
+        half: Of the pairs, whose intervals and steps are taken: ``nominal`` or ``fast``.
         T_cam_base: ``(4, 4)`` where its base is; the origin is the remote centre.
     """
 
-    def __init__(self, place: Place, motion: Motion, speed: str, T_cam_base: FloatArray) -> None:
+    def __init__(self, place: Place, motion: Motion, half: Half, T_cam_base: FloatArray) -> None:
         self.place = place
         self.arm = ARM
         self.T_cam_base = T_cam_base
-        step = motion.longest_step(speed)
+        step = motion.longest_step(half)
         self._longest_m = step.position_m
         self._bounds = np.array(
             [step.tilt_rad, step.tilt_rad, np.inf, step.roll_rad, step.wrist_rad, step.wrist_rad, step.jaw_rad]
@@ -182,13 +182,13 @@ class ArmJoints:
         return bool(good.all())
 
 
-def set_up_arm(place: Place, motion: Motion, speed: str, rng: np.random.Generator) -> ArmJoints | None:
+def set_up_arm(place: Place, motion: Motion, half: Half, rng: np.random.Generator) -> ArmJoints | None:
     """Put an arm where a good part of the workspace is within its reach, its remote centre out of the picture.
 
     Args:
         place: Where the arm may be.
         motion: Steps and perturbation.
-        speed: ``nominal`` or ``fast``.
+        half: Of the pairs, whose intervals and steps are taken: ``nominal`` or ``fast``.
         rng: The only source of randomness.
 
     Returns:
@@ -206,7 +206,7 @@ def set_up_arm(place: Place, motion: Motion, speed: str, rng: np.random.Generato
         joints[INSERTION] = rng.uniform(*SET_UP_DEPTH_M) - ARM.depth_m(0.0)
         joints[ROLL] = rng.uniform(ARM.lower[ROLL], ARM.upper[ROLL])
         wrist = rigid_transform(look_at_rotation(state[ANGLES]), state[POSITION])
-        arm = ArmJoints(place, motion, speed, wrist @ inverse_transform(ARM.forward(joints)))
+        arm = ArmJoints(place, motion, half, wrist @ inverse_transform(ARM.forward(joints)))
         visible = place.camera.contains(place.camera.project(arm.T_cam_base[:3, 3]))
         if not visible and arm.leads(arm.draw(SET_UP_DRAWS, rng)[None]).mean() >= SET_UP_SHARE:
             return arm

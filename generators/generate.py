@@ -182,7 +182,6 @@ def plan_dataset(preset: Preset, part: Part | None = None) -> Plan:
         SurgbenchError: The preset's instrument is unknown or its file is wrong.
     """
     instrument = load_instrument(preset.instrument)
-    fast = int(preset.pairs * preset.motion.fast_share)
     digits = max(3, len(str(preset.pairs - 1)))
     views = () if preset.auxiliary is None else preset.auxiliary.views
     auxiliary = AuxiliaryEntry(camera=AUXILIARY_CAMERA, kinds=ARMS, keypoints=True)
@@ -191,7 +190,7 @@ def plan_dataset(preset: Preset, part: Part | None = None) -> Plan:
             id=f"{index:0{digits}d}",
             frames=preset.frames,
             dt_s=preset.dt_s,
-            speed="fast" if index >= preset.pairs - fast else "nominal",
+            speed=preset.motion.speed(preset.half(index)),
             camera=CAMERA_NAME,
             arms=ARMS,
             instruments=dict.fromkeys(ARMS, instrument.name),

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import Field, SerializerFunctionWrapHandler, field_validator, model_serializer, model_validator
 
 from surgbench.camera import Camera
@@ -18,6 +19,9 @@ Range = tuple[Finite, Finite]
 def _less(content: dict[str, Any], **absent: Any) -> dict[str, Any]:
     """A section's content without the keys that have such a value."""
     return {key: value for key, value in content.items() if key not in absent or value != absent[key]}
+
+
+Half = Literal["nominal", "fast"]
 
 
 class WaypointInterval(Section):
@@ -57,9 +61,9 @@ class Motion(Section):
         kind: ``free``: poses are interpolated. ``rcm``: the joints of a whole arm about a fixed remote centre; then
             tilts are those of yaw and pitch, the roll's is that of the arm's roll, and lengths are those of the wrist.
         waypoint_interval: Frames between waypoints.
-        fast_share: Share of the pairs, the last ones, that move fast.
+        fast_share: Share of the pairs, the last ones, that have the ``fast`` intervals and steps.
         max_step: Bounds of the steps between waypoints.
-        fast_max_step: The same in fast sequences, where it is another.
+        fast_max_step: The same in those pairs, where it is another.
         ou_rho: Correlation of the Ornstein-Uhlenbeck perturbation from frame to frame.
         ou_sigma_angles_rad: Its stationary standard deviation for alpha, beta, gamma.
         ou_sigma_position_m: The same for x, y, z.
@@ -94,9 +98,21 @@ class Motion(Section):
         # So that the hash of a dataset that does without does not know of them.
         return _less(serialise(self), fast_max_step=None, smoothing="butterworth", absences=None)
 
-    def longest_step(self, speed: str) -> MaxStep:
-        """Bounds of the steps between waypoints in sequences of this speed."""
-        return self.fast_max_step or self.max_step if speed == "fast" else self.max_step
+    def longest_step(self, half: Half) -> MaxStep:
+        """Bounds of the steps between waypoints in this half of the pairs."""
+        return self.fast_max_step or self.max_step if half == "fast" else self.max_step
+
+    def speed(self, half: Half) -> Half:
+        """What instruments look like there: ``fast`` where they go further a frame in the fast half than in the other.
+
+        Waypoints of fast recordings that are stretched over more frames make no fast sequence.
+        """
+        paces = (
+            np.array(list(self.longest_step(one).model_dump().values())) / getattr(self.waypoint_interval, one)
+            for one in ("nominal", "fast")
+        )
+        nominal, fast = paces
+        return half if bool((fast > nominal).any()) else "nominal"
 
 
 class Workspace(Section):
@@ -287,6 +303,10 @@ class Preset(Section):
     kinematics: Kinematics = Kinematics()
     mismatch: Mismatch = Mismatch()
     auxiliary: Auxiliary | None = None
+
+    def half(self, index: int) -> Half:
+        """Which half of the pairs a pair is in: the last ones, ``fast_share`` of all, have the fast waypoints."""
+        return "fast" if index >= self.pairs - int(self.pairs * self.motion.fast_share) else "nominal"
 
     @model_serializer(mode="wrap")
     def _without_what_is_not_there(self, serialise: SerializerFunctionWrapHandler) -> dict[str, Any]:

@@ -67,7 +67,9 @@ def make_tables(preset: Preset, entry: SequenceEntry, instrument: Instrument, ca
     # All of the sequence, also where only its first frames are wanted: what moves or errs slowly depends on its length.
     frames = preset.frames
     seen_by = preset.model_copy(update={"camera": camera})
-    motion = make_motion(seen_by, instrument, entry.speed, frames, generator(**axes, purpose="trajectory"))
+    motion = make_motion(
+        seen_by, instrument, preset.half(int(entry.id)), frames, generator(**axes, purpose="trajectory")
+    )
     observed: dict[str, FloatArray] = {tables.TIMESTAMP: np.arange(frames, dtype=np.float64) * entry.dt_s}
     truth: dict[str, FloatArray] = {}
     bases: dict[Arm, tuple[float, ...]] = {}

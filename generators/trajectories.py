@@ -16,7 +16,7 @@ from surgbench.errors import ConfigError
 from surgbench.generators.absences import with_absences
 from surgbench.generators.coordinates import TOOL_JOINTS, ArmJoints, Coordinates, FreePose, set_up_arm
 from surgbench.generators.place import Place, clearance_m
-from surgbench.generators.presets import Motion, Preset
+from surgbench.generators.presets import Half, Motion, Preset
 from surgbench.geometry import FloatArray, wrap_angle
 from surgbench.instrument import Instrument
 from surgbench.instrument.arm import ARM_JOINTS, Manipulator
@@ -60,13 +60,13 @@ class ArmMotion:
     arm_joints: FloatArray
 
 
-def make_pair(preset: Preset, instrument: Instrument, speed: str, frames: int, rng: np.random.Generator) -> FloatArray:
+def make_pair(preset: Preset, instrument: Instrument, half: Half, frames: int, rng: np.random.Generator) -> FloatArray:
     """States of :func:`make_motion`, ``(frames, 2, 9)``."""
-    return make_motion(preset, instrument, speed, frames, rng).states
+    return make_motion(preset, instrument, half, frames, rng).states
 
 
 def make_motion(
-    preset: Preset, instrument: Instrument, speed: str, frames: int, rng: np.random.Generator
+    preset: Preset, instrument: Instrument, half: Half, frames: int, rng: np.random.Generator
 ) -> PairMotion:
     """A trajectory of two arms.
 
@@ -78,7 +78,7 @@ def make_motion(
     Args:
         preset: Motion, workspace, camera and frame rate.
         instrument: Of both arms.
-        speed: ``nominal`` or ``fast``.
+        half: Of the pairs, whose intervals and steps are taken: ``nominal`` or ``fast``.
         frames: How many.
         rng: The only source of randomness.
 
@@ -86,13 +86,13 @@ def make_motion(
         ConfigError: The workspace is too tight for such a trajectory.
     """
     places = [Place(arm, preset.workspace, preset.camera, instrument) for arm in ARMS]
-    interval = getattr(preset.motion.waypoint_interval, speed)
+    interval = getattr(preset.motion.waypoint_interval, half)
     for _ in range(PATHS):
-        left = _coordinates(places[0], preset, speed, rng)
+        left = _coordinates(places[0], preset, half, rng)
         left_path = left and _path(left, preset, interval, frames, rng, other=None)
         if left is None or left_path is None:
             continue
-        right = _coordinates(places[1], preset, speed, rng)
+        right = _coordinates(places[1], preset, half, rng)
         right_path = right and _path(right, preset, interval, frames, rng, other=left.states(_sampled(left_path)))
         if right is None or right_path is None:
             continue
@@ -112,14 +112,14 @@ def make_motion(
                     states = drawn_back
                 return PairMotion(states, (_moved(left, values[:, 0]), _moved(right, values[:, 1])))
     raise ConfigError(
-        f"preset '{preset.name}': no feasible {speed} trajectory of {frames} frames was found; "
+        f"preset '{preset.name}': no feasible {half} trajectory of {frames} frames was found; "
         "widen workspace or lessen motion (workspace.reach, workspace.tip_margin, motion.max_step)"
     )
 
 
-def _coordinates(place: Place, preset: Preset, speed: str, rng: np.random.Generator) -> FreePose | ArmJoints | None:
+def _coordinates(place: Place, preset: Preset, half: Half, rng: np.random.Generator) -> FreePose | ArmJoints | None:
     motion = preset.motion
-    return FreePose(place, motion, speed) if motion.kind == "free" else set_up_arm(place, motion, speed, rng)
+    return FreePose(place, motion, half) if motion.kind == "free" else set_up_arm(place, motion, half, rng)
 
 
 def _moved(coordinates: FreePose | ArmJoints, values: FloatArray) -> ArmMotion | None:

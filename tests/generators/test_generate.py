@@ -268,7 +268,11 @@ def test_every_preset_loads() -> None:
     mini, paper = load_preset("mini"), load_preset("paper")
     assert (mini.pairs, mini.frames) == (1, 60)
     assert (paper.pairs, paper.frames) == (16, 1000)
-    assert [entry.speed for entry in plan_dataset(paper).sequences] == ["nominal"] * 8 + ["fast"] * 8
+    wide = load_preset("paper-wide")
+    assert [entry.speed for entry in plan_dataset(wide).sequences] == ["nominal"] * 8 + ["fast"] * 8
+    # Stretched over twice as many frames, waypoints of fast recordings make no fast motion.
+    assert {entry.speed for entry in plan_dataset(paper).sequences} == {"nominal"}
+    assert [paper.half(index) for index in range(16)] == ["nominal"] * 8 + ["fast"] * 8
     assert [entry.speed for entry in plan_dataset(mini).sequences] == ["nominal"]
     for name in ("agile", "in-and-out"):
         preset = load_preset(name)

@@ -105,7 +105,7 @@ def test_waypoints_keep_distance_and_elevation(instrument: Instrument, preset: P
 
 @pytest.fixture(scope="module")
 def published(instrument: Instrument) -> dict[str, list[FloatArray]]:
-    """Both speeds of ``paper``, four waypoints of each."""
+    """Both halves of ``paper``, four waypoints of each."""
     preset = load_preset("paper")
     frames = {"nominal": 201, "fast": 401}
     return {
