@@ -27,7 +27,7 @@ from surgbench.trackers.optimisers.cma import CMA
 from surgbench.trackers.optimisers.cma_settings import tutorial_settings
 from surgbench.trackers.registration.belief import MotionBelief
 from surgbench.trackers.registration.edges import missed_edge
-from surgbench.trackers.registration.fit import ContourFit, Fit, FitConfig, Prior
+from surgbench.trackers.registration.fit import ContourFit, Fit, FitConfig
 from surgbench.trackers.registration.jaws import JawJudge
 from surgbench.trackers.registration.proposals import (
     Move,
@@ -48,9 +48,10 @@ YAW_AND_JAWS = slice(JOINTS.start + 1, JOINTS.stop)
 # Edges are counted as worse than synthetic ones are, so that a frame doesn't outvote the motion; the spread of
 # estimates about the truth is this much of the belief's (on data of the presets `paper` and `agile`).
 STATED = 0.24
-# What an instrument and a camera that are not quite the declared ones make wrong, and no contour tells (on data of the
+# What no contour tells of an instrument and a camera that are off what is declared (their size and focal length, the
+# lens, the principal point) makes wrong, where what contours do tell of them is off by a natural step (on data of the
 # preset `mismatch`).
-MODEL_ERROR = np.array([0.0025, 0.018, 0.012, 3.5e-4, 4e-4, 1.6e-3, 0.009, 0.02, 0.013])
+MODEL_ERROR = np.array([0.0025, 0.007, 0.008, 5e-4, 5e-4, 2.5e-3, 0.006, 0.008, 0.007])
 FAR_IOU = 0.5  # with less overlap the instrument may be somewhere else altogether
 EXPLAINED_PX = 2
 JAW_PX = 3
@@ -110,8 +111,8 @@ class HybridTracker(InstrumentTracker):
         hypotheses: Annotated[int, Field(ge=1, description="followed at a time")] = 3
         pause: Annotated[int, Field(ge=0, description="frames without a search after one that found nothing")] = 2
         model_error: Annotated[
-            NotNegative, Field(description="of instrument and camera, in stated deviations; 1: as in `mismatch`")
-        ] = 0.0
+            NotNegative, Field(description="factor on what stated deviations owe to a departure from what is declared")
+        ] = 1.0
         trust: Annotated[Positive, Field(description="weight of a frame among hypotheses")] = 20.0
         trust_jaws: Annotated[NotNegative, Field(description="weight of its jaws")] = 10.0
         memory: Annotated[float, Field(ge=0, lt=1, description="of hypotheses' costs from frame to frame")] = 0.8
@@ -149,6 +150,7 @@ class HybridTracker(InstrumentTracker):
             np.tile(VELOCITY, scene.arms),
             config.reading_bias_rad,
             config.reading_drift_rad,
+            self._fit.shape.scale,
         )
         belief.restart(state, self._found)
         self._hypotheses = [Hypothesis(belief, np.array(state), 0.0)]
@@ -199,9 +201,8 @@ class HybridTracker(InstrumentTracker):
         # A detector takes longer than all the rest of a frame: it isn't waited for while the contour tells the jaws.
         losses = (self._objective if tips else self._objective.mismatch)(candidates)[0]
         begin = candidates[int(np.argmin(losses))]
-        prior = Prior(belief.state, np.linalg.inv(belief.covariance))
-        fit = self._fit(begin, observation, prior, tips=tips)
-        belief.update(fit.state, fit.information)
+        fit = self._fit(begin, observation, belief.prior, tips=tips)
+        belief.update(fit.state, fit.shape, fit.information)
         if not seen:
             belief.stand_still()
         self._take(hypothesis, fit, observation)
@@ -210,7 +211,8 @@ class HybridTracker(InstrumentTracker):
     def _stated(self, belief: MotionBelief) -> FloatArray:
         """What the estimate is expected to be off by, ``(9 * arms,)`` rad and m."""
         own = STATED * np.sqrt(np.diag(belief.covariance)) * self._scale
-        return np.asarray(np.hypot(own, self.config.model_error * np.tile(MODEL_ERROR, self._scene.arms)))
+        model = self.config.model_error * belief.departure * np.tile(MODEL_ERROR, self._scene.arms)
+        return np.asarray(np.hypot(own, model))
 
     def _jaws_sd_rad(self, belief: MotionBelief) -> float:
         """How well yaw and jaws are known before a frame, those of the arm that is known worst."""
@@ -257,7 +259,9 @@ class HybridTracker(InstrumentTracker):
             self.trace.losses.append(losses[ranked])
         found: Hypothesis | None = None
         for k in order:
-            fit = self._fit(states[k], observation, Prior(states[k], self._drawn), iterations=8, spacing_px=3)
+            fit = self._fit(
+                states[k], observation, best.belief.prior_at(states[k], self._drawn), iterations=8, spacing_px=3
+            )
             candidate = Hypothesis(best.belief, fit.state, 0.0)
             self._take(candidate, fit, observation)
             candidate.cost = self._frame_cost(candidate) + jump_cost(fit.state, last)

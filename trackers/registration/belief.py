@@ -2,7 +2,8 @@
 
 Unlike the engine's filters, whose output only starts the next search, this belief takes part in the estimate: where
 a silhouette says little about a direction of the state, the motion so far decides. Joint readings enter it with a
-bias of their own, which changes slowly and is learned from the masks.
+bias of their own, which changes slowly and is learned from the masks; so do what instruments and camera are other in
+than declared (:mod:`surgbench.trackers.registration.shape`), which no frame tells alone.
 """
 
 from __future__ import annotations
@@ -11,10 +12,13 @@ import numpy as np
 
 from surgbench.geometry import FloatArray, wrap_angle
 from surgbench.state import JOINTS, POSITION, STATE_SIZE
+from surgbench.trackers.registration.fit import Prior
+
+SHAPE_DRIFT = 0.01  # natural steps a frame: a recording's instrument and camera stay, but for what is not known of them
 
 
 class MotionBelief:
-    """Gaussian over values, velocities and the readings' biases, in the state's natural steps.
+    """Gaussian over values, velocities, the readings' biases and the shape, in natural steps.
 
     Args:
         scale: ``(n,)`` natural step of each component; n is 9 per arm.
@@ -23,6 +27,7 @@ class MotionBelief:
         velocity: ``(n,)`` standard deviation of the velocities at the beginning, per s.
         bias_rad: Standard deviation of the readings' biases.
         bias_drift_rad: How much they change from frame to frame.
+        shape_scale: ``(m,)`` natural step of each unknown of the shape, and what it is expected to be.
     """
 
     def __init__(
@@ -33,6 +38,7 @@ class MotionBelief:
         velocity: FloatArray,
         bias_rad: float,
         bias_drift_rad: float,
+        shape_scale: FloatArray,
     ) -> None:
         n = len(scale)
         self._scale = scale
@@ -40,7 +46,10 @@ class MotionBelief:
         joints = np.arange(n).reshape(-1, STATE_SIZE)[:, JOINTS].ravel()
         self._joints = joints
         self._biases = 2 * n + np.arange(len(joints))
-        size = 2 * n + len(joints)
+        size = 2 * n + len(joints) + len(shape_scale)
+        # Of what a frame tells directly: the values and the shape.
+        self._told = np.concatenate([np.arange(n), np.arange(size - len(shape_scale), size)])
+        self._told_scale = np.concatenate([scale, shape_scale])
         self._transition = np.eye(size)
         self._transition[:n, n : 2 * n] = dt_s * np.eye(n)
         # An acceleration a that is constant over a frame moves the value by a dt²/2 and the velocity by a dt.
@@ -48,6 +57,8 @@ class MotionBelief:
         self._process = np.zeros((size, size))
         self._process[: 2 * n, : 2 * n] = np.kron(push, np.diag((acceleration / scale) ** 2))
         self._process[self._biases, self._biases] = (bias_drift_rad / scale[joints]) ** 2
+        shape = self._told[n:]
+        self._process[shape, shape] = SHAPE_DRIFT**2
         is_angle = np.ones(STATE_SIZE, dtype=bool)
         is_angle[POSITION] = False
         self._is_angle = np.resize(is_angle, n)
@@ -56,7 +67,7 @@ class MotionBelief:
         self._covariance[self._biases, self._biases] = (bias_rad / scale[joints]) ** 2
 
     def restart(self, state: FloatArray, spread: FloatArray) -> None:
-        """Begin again at rest at ``state``, known to ``spread`` (both ``(n,)``); the readings' biases stay."""
+        """Begin again at rest at ``state``, known to ``spread`` (both ``(n,)``); biases and shape stay."""
         n = len(self._scale)
         self._mean[: 2 * n] = np.concatenate([state / self._scale, np.zeros(n)])
         self._covariance[: 2 * n, :] = self._covariance[:, : 2 * n] = 0.0
@@ -73,6 +84,29 @@ class MotionBelief:
         """``(n, n)`` of the values, natural steps."""
         n = len(self._scale)
         return self._covariance[:n, :n]
+
+    @property
+    def prior(self) -> Prior:
+        """What is believed of values and shape."""
+        among = np.ix_(self._told, self._told)
+        return Prior(self._mean[self._told] * self._told_scale, np.linalg.inv(self._covariance[among]))
+
+    def prior_at(self, state: FloatArray, information: FloatArray) -> Prior:
+        """What is believed of the shape, and of the values another story: mean ``(n,)``, ``(n, n)`` information."""
+        n = len(self._scale)
+        own = self.prior
+        both = np.zeros_like(own.information)
+        shape = self._told[n:]
+        both[:n, :n] = information
+        both[n:, n:] = np.linalg.inv(self._covariance[np.ix_(shape, shape)])
+        return Prior(np.concatenate([state, own.mean[n:]]), both)
+
+    @property
+    def departure(self) -> float:
+        """How far the shape is known to be off the declared one: root mean square over its unknowns, natural steps."""
+        shape = self._told[len(self._scale) :]
+        beyond = self._mean[shape] ** 2 - np.diag(self._covariance)[shape]
+        return float(np.sqrt(max(beyond.mean(), 0.0)))
 
     def predict(self) -> None:
         """Advance by one frame."""
@@ -103,20 +137,21 @@ class MotionBelief:
         self._mean = self._mean + gain @ (readings_rad / scale - observe @ self._mean)
         self._settle(self._covariance - gain @ across.T)
 
-    def update(self, state: FloatArray, information: FloatArray) -> None:
+    def update(self, state: FloatArray, shape: FloatArray, information: FloatArray) -> None:
         """Take in an estimate that already is a compromise between this belief and a frame.
 
         Args:
             state: ``(n,)`` the compromise, the mode of the posterior; it becomes the mean of the values.
-            information: ``(n, n)`` what the frame alone says, natural steps: the inverse of its covariance.
+            shape: ``(m,)`` likewise.
+            information: ``(n + m, n + m)`` what the frame alone says, natural steps: the inverse of its covariance.
         """
-        n = len(self._scale)
-        column = self._covariance[:, :n].copy()
-        own = column[:n]
+        told = self._told
+        column = self._covariance[:, told].copy()
+        own = column[told]
         # Kalman's gain for H = [1 0] in information form: (H P H' + R)⁻¹ = I (1 + P I)⁻¹ with I = R⁻¹.
-        inner = information @ np.linalg.inv(np.eye(n) + own @ information)
+        inner = information @ np.linalg.inv(np.eye(len(told)) + own @ information)
         # What is correlated with the values follows them.
-        shift = self.near(state) / self._scale - self._mean[:n]
+        shift = np.concatenate([self.near(state), shape]) / self._told_scale - self._mean[told]
         self._mean = self._mean + column @ np.linalg.solve(own, shift)
         self._settle(self._covariance - column @ inner @ column.T)
 

@@ -13,6 +13,7 @@ from surgbench.contract import Observation, Scene
 from surgbench.geometry import FloatArray
 from surgbench.silhouette import SilhouetteEvaluator
 from surgbench.state import clip_joints
+from surgbench.trackers.registration.shape import Shape
 from surgbench.trackers.registration.view_fit import FitConfig, ViewFit
 
 LONGEST_STEP = 4.0  # natural steps
@@ -24,7 +25,8 @@ class Fit(NamedTuple):
 
     Attributes:
         state: ``(n,)``.
-        information: ``(n, n)`` what the frame says of the state, natural steps, without the prior.
+        shape: ``(m,)`` what instruments and camera are other in than declared (:class:`Shape`).
+        information: ``(n + m, n + m)`` what the frame says of both, natural steps, without the prior.
         offset_px: Of all edges of the reference view together: above 0 where its mask is dilated.
         explained: Share of the predicted contours that have an observed edge.
         missed_px: ``(arms, links)`` length of each link's contour in the reference view that has no observed edge.
@@ -32,6 +34,7 @@ class Fit(NamedTuple):
     """
 
     state: FloatArray
+    shape: FloatArray
     information: FloatArray
     offset_px: float
     explained: float
@@ -41,7 +44,7 @@ class Fit(NamedTuple):
 
 @dataclass(frozen=True)
 class Prior:
-    """A Gaussian prior: ``(n,)`` mean, and ``(n, n)`` information in natural steps."""
+    """A Gaussian prior of state and shape: ``(n + m,)`` mean, and ``(n + m, n + m)`` information in natural steps."""
 
     mean: FloatArray
     information: FloatArray
@@ -55,17 +58,21 @@ class ContourFit:
         evaluator: Of the scene's reference view.
         scale: ``(n,)`` natural step of each component.
         config: Options.
+
+    Attributes:
+        shape: What instruments and camera may be other in than declared.
     """
 
     def __init__(self, scene: Scene, evaluator: SilhouetteEvaluator, scale: FloatArray, config: FitConfig) -> None:
         self._limits = scene.joint_limits
-        self._scale = scale
+        self.shape = Shape(scene.instruments)
+        self._scale = np.concatenate([scale, self.shape.scale])
         self._config = config
         self._frame = -1
-        self._views = [ViewFit(scene.instruments, evaluator, scale, config, calibrated=True)]
+        self._views = [ViewFit(scene.instruments, evaluator, scale, self.shape, config, calibrated=True)]
         for view in scene.views[1:]:
             other = SilhouetteEvaluator(scene.instruments, view.camera)
-            self._views.append(ViewFit(scene.instruments, other, scale, config, calibrated=False))
+            self._views.append(ViewFit(scene.instruments, other, scale, self.shape, config, calibrated=False))
 
     @property
     def misfit_px(self) -> float:
@@ -95,7 +102,7 @@ class ContourFit:
         """
         config, scale = self._config, self._scale
         n = len(state)
-        fit = Fit(state, np.zeros((n, n)), 0.0, 1.0, np.zeros((0, 0)), np.zeros((0, 0)))
+        fit = Fit(state, prior.mean[n:], np.zeros_like(prior.information), 0.0, 1.0, np.zeros((0, 0)), np.zeros((0, 0)))
         # Of a frame's fits the first is that of the story that was the best so far.
         first, self._frame = observation.index != self._frame, observation.index
         for own, view in zip(self._views, observation.views, strict=True):
@@ -103,19 +110,20 @@ class ContourFit:
                 own.next_frame()
             own.begin(view, tips=tips)
         for _ in range(iterations or config.iterations):
-            parts = [own.equations(fit.state, spacing_px or config.spacing_px) for own in self._views]
+            parts = [own.equations(fit.state, fit.shape, spacing_px or config.spacing_px) for own in self._views]
             information = functools.reduce(operator.add, (part.information for part in parts))
             pull = functools.reduce(operator.add, (part.pull for part in parts))
-            pull = pull + prior.information @ ((prior.mean - fit.state) / scale)
+            pull = pull + prior.information @ ((prior.mean - np.concatenate([fit.state, fit.shape])) / scale)
             step = np.linalg.solve(information + prior.information, pull)
             for own in self._views:
                 own.follow(step)
-            longest = float(np.abs(step).max())
+            longest = float(np.abs(step[:n]).max())
             step *= min(1.0, LONGEST_STEP / max(longest, LONGEST_STEP))
-            moved = clip_joints(fit.state + step * scale, self._limits)
+            moved = clip_joints(fit.state + step[:n] * scale[:n], self._limits)
             total = sum(part.length_px for part in parts)
             explained = sum(part.explained_px for part in parts) / total if total > 0 else 0.0
-            fit = fit._replace(state=moved, information=information, explained=explained)
+            shape = fit.shape + step[n:] * scale[n:]
+            fit = fit._replace(state=moved, shape=shape, information=information, explained=explained)
             if longest < SETTLED:
                 break
         if first:

@@ -24,6 +24,7 @@ from surgbench.trackers.registration.edges import (
     normal_equations,
 )
 from surgbench.trackers.registration.parts import Parts
+from surgbench.trackers.registration.shape import Shape
 
 FEWEST_POINTS = 8
 MEDIAN_TO_SD = 1.4826  # standard deviation over median of absolute deviations, of Gaussian numbers
@@ -58,11 +59,11 @@ CHANGE = np.array([5e-4, 5e-4, 5e-4, 1e-4, 1e-4, 1e-4])
 
 
 class Equations(NamedTuple):
-    """What a view says of a step of the state.
+    """What a view says of a step of the state and of the shape.
 
     Attributes:
-        information: ``(n, n)``, natural steps.
-        pull: ``(n,)``: ``information @ step = pull``.
+        information: ``(n + m, n + m)``, natural steps of the state and of the shape.
+        pull: ``(n + m,)``: ``information @ step = pull``.
         explained_px: Length of the predicted contour that has an observed edge.
         length_px: Length of all of it.
     """
@@ -85,6 +86,7 @@ class ViewFit:
         instruments: One per arm.
         evaluator: Of the view's camera.
         scale: ``(n,)`` natural step of each component of the state.
+        shape: What instruments and camera may be other in than declared, m unknowns.
         config: Options.
         calibrated: Whether the view is the frame that states are given in.
 
@@ -97,17 +99,19 @@ class ViewFit:
         instruments: Sequence[Instrument],
         evaluator: SilhouetteEvaluator,
         scale: FloatArray,
+        shape: Shape,
         config: FitConfig,
         *,
         calibrated: bool,
     ) -> None:
         self._evaluator = evaluator
         self._projector = KeypointProjector(instruments, evaluator.camera)
-        self._size = len(scale)
+        self._shape = shape
+        self._size = len(scale) + len(shape.scale)
         self._parts = Parts(instruments)
         self._config = config
         self._calibrated = calibrated
-        self._scale = scale if calibrated else np.concatenate([scale, CALIBRATION])
+        self._scale = np.concatenate([scale, shape.scale, *([] if calibrated else [CALIBRATION])])
         # What the pose is wrong by, in CALIBRATION's units: what is known before a frame, and after its first fit.
         self._known = self._learned = np.zeros(6), np.eye(6)
         # Variance of edges beyond that of edges that fit, px², of all edges and of the wrists': over the frames so far,
@@ -138,13 +142,14 @@ class ViewFit:
             T_view_cam = rigid_transform(rotation_from_vector(error[:3]), error[3:]) @ T_view_cam
         self._change = ChangeOfView(T_view_cam)
 
-    def equations(self, state: FloatArray, spacing_px: int) -> Equations:
-        """Linearise at ``state`` ``(n,)``."""
+    def equations(self, state: FloatArray, shape: FloatArray, spacing_px: int) -> Equations:
+        """Linearise at ``state`` ``(n,)`` and ``shape`` ``(m,)``."""
         config, n = self._config, self._size
         own = self._change.states(state)
         contour = self._evaluator.contour_points(own, spacing_px)
-        contour = contour._replace(jacobian=self._jacobian(state, own, contour.jacobian))
-        A, b, explained_px, length_px = self._edges(contour)
+        grown = self._shape.jacobian(contour, own, self._evaluator.camera, reference=self._calibrated)
+        contour = contour._replace(jacobian=self._jacobian(state, own, contour.jacobian, grown))
+        A, b, explained_px, length_px = self._edges(contour, grown @ shape)
         self._add_tips(A, b, state, own)
         A[-1, -1] += 1.0 / config.offset_px**2
         if not self._calibrated:
@@ -170,7 +175,7 @@ class ViewFit:
         return missed
 
     def follow(self, step: FloatArray) -> None:
-        """Adjust the view's own unknowns to the ``(n,)`` step that all views together ask for."""
+        """Adjust the view's own unknowns to the ``(n + m,)`` step that all views together ask for."""
         for row, right, pivot in reversed(self._eliminated):
             step = np.append(step, (right - row @ step) / pivot)
         self.offset_px = float(step[-1])
@@ -183,7 +188,7 @@ class ViewFit:
         """Keep what this fit says of the view's edges and pose, for the frames to come.
 
         Args:
-            others: ``(n, n)`` what is known of the state from elsewhere, natural steps.
+            others: ``(n + m, n + m)`` what is known of state and shape from elsewhere, natural steps.
         """
         before = _first_known(self._excess, self._seen_excess)
         self._excess = MEMORY * before + (1.0 - MEMORY) * _first_known(self._seen_excess, before)
@@ -193,24 +198,28 @@ class ViewFit:
         about_state = np.linalg.solve(A[:n, :n] + others, A[:n, n:])
         self._learned = self._pose, A[n:, n:] - A[n:, :n] @ about_state
 
-    def _jacobian(self, state: FloatArray, own: FloatArray, gradient: FloatArray) -> FloatArray:
-        """From derivatives ``(K, n)`` for the view's own state to those for all unknowns but the offset.
+    def _jacobian(self, state: FloatArray, own: FloatArray, gradient: FloatArray, grown: FloatArray) -> FloatArray:
+        """From derivatives ``(K, n)`` for the view's own state, ``(K, m)`` for the shape, to all but the offset's.
 
         The view's pose moves every point p of its frame by ``w x p + t``.
         """
+        shared = np.concatenate([self._change.pull_back(state, gradient), grown], axis=1)
         if self._calibrated:
-            return self._change.pull_back(state, gradient)
+            return shared
         arms = gradient.reshape(len(gradient), gradient.shape[1] // STATE_SIZE, STATE_SIZE)
         places = split_arms(own)
         turned = np.einsum("kai,aij->kj", arms[..., ANGLES], angle_rates(places[:, ANGLES]))
         turned += np.cross(places[:, POSITION], arms[..., POSITION]).sum(axis=1)
         pose = np.concatenate([turned, arms[..., POSITION].sum(axis=1)], axis=1)
-        return np.concatenate([self._change.pull_back(state, gradient), pose], axis=1)
+        return np.concatenate([shared, pose], axis=1)
 
-    def _edges(self, contour: ContourPoints) -> tuple[FloatArray, FloatArray, float, float]:
-        """Normal equations of the edges, and which length of the contour is explained, of which length."""
+    def _edges(self, contour: ContourPoints, grown_px: FloatArray) -> tuple[FloatArray, FloatArray, float, float]:
+        """Normal equations of the edges, and which length of the contour is explained, of which length.
+
+        ``grown_px``, ``(K,)``, is by how much the contour lies further out than the modelled one.
+        """
         config = self._config
-        offsets = find_edges(contour, self._view.mask, config.reach_px)
+        offsets = find_edges(contour, self._view.mask, config.reach_px) - grown_px
         self._seen = contour, offsets
         if np.count_nonzero(~np.isnan(offsets)) < FEWEST_POINTS:
             size = len(self._scale) + 1
@@ -252,7 +261,9 @@ class ViewFit:
                 continue
             forces = np.zeros((4, len(projected), 2, 2))
             forces[:, arm] = np.eye(4).reshape(4, 2, 2)
-            J = self._jacobian(state, own, self._projector.pull_back(np.tile(own, (4, 1)), forces)) * self._scale
+            gradient = self._projector.pull_back(np.tile(own, (4, 1)), forces)
+            # Of the jaws' length no tip is asked: a detector is wrong by more.
+            J = self._jacobian(state, own, gradient, np.zeros((4, len(self._shape.scale)))) * self._scale
             distance = np.linalg.norm(off, axis=1).repeat(2)
             weight = share.repeat(2) / (sd * (1.0 + (distance / (TIP_WIDTH * sd)) ** 2)) ** 2
             A[:size, :size] += (J * weight[:, None]).T @ J
