@@ -57,6 +57,9 @@ EXPLAINED_PX = 2
 JAW_PX = 3
 BEST_JAWS = 0.15  # what masks leave unexplained of jaws that are right, of their own contour
 BEST_UNEXPLAINED = 0.02  # what masks leave unexplained of a right state
+LOOK_EVERY = 3  # frames
+LOOKS_BETTER = 0.9  # share of the loss that another place of a jaw has to have
+DEBUG = None
 SAME = 1.0  # jump cost within which two hypotheses are one
 
 
@@ -173,6 +176,8 @@ class HybridTracker(InstrumentTracker):
                 self._pause = config.pause
         else:
             self._pause = 0
+            if seen and config.samples and observation.joints is None and observation.index % LOOK_EVERY == 0:
+                self._look_at_jaws(best, last, observation)
         self._sort()
         best = self._hypotheses[0]
         return Estimate(
@@ -270,7 +275,31 @@ class HybridTracker(InstrumentTracker):
         assert found is not None
         before = best.cost - self._frame_cost(best)
         found.cost += before
-        if found.cost > best.cost + config.given_up or any(
+        return self._adopt(found, best)
+
+    def _look_at_jaws(self, best: Hypothesis, last: FloatArray, observation: Observation) -> None:
+        """Follow another place of one jaw beside the best story, where the mask likes that better.
+
+        A hidden jaw that has slipped leaves so little of the edge unexplained that nothing else would notice.
+        """
+        states = np.concatenate([best.state[None], sweep_jaws(best.state[None], self._scene.joint_limits)])
+        losses = self._objective.mismatch(states)[0]
+        elsewhere = np.array([jump_cost(state, best.state) >= SAME for state in states])
+        if not elsewhere.any():
+            return
+        k = int(np.argmin(np.where(elsewhere, losses, np.inf)))
+        if losses[k] > LOOKS_BETTER * losses[0]:
+            return
+        fit = self._fit(states[k], observation, best.belief.prior_at(states[k], self._drawn), iterations=8, spacing_px=3)
+        found = Hypothesis(best.belief, fit.state, 0.0)
+        self._take(found, fit, observation)
+        if DEBUG is not None: DEBUG.append((observation.index, losses[0], losses[k], self._frame_cost(best), self._frame_cost(found), jump_cost(fit.state,last), best.cost))
+        found.cost = best.cost - self._frame_cost(best) + self._frame_cost(found) + jump_cost(fit.state, last)
+        self._adopt(found, best)
+
+    def _adopt(self, found: Hypothesis, best: Hypothesis) -> bool:
+        """Follow a story beside the best one, unless it is far worse or one that is followed already."""
+        if found.cost > best.cost + self.config.given_up or any(
             jump_cost(found.state, other.state) < SAME for other in self._hypotheses
         ):
             return False
