@@ -127,8 +127,8 @@ FAILING = {
     "raises": ("Raises", "failed", "RuntimeError: no instrument anywhere", 1),
     "exits": ("Exits", "exited", "exited with code 3", 0),
     "returns-nan": ("ReturnsNan", "invalid", "NaN", 0),
-    "returns-shape": ("ReturnsShape", "invalid", "returned shape (7,), not (9,)", 0),
-    "returns-text": ("ReturnsText", "invalid", "returned str", 0),
+    "returns-shape": ("ReturnsShape", "invalid", "returned a state of shape (7,), not (9,)", 0),
+    "returns-text": ("ReturnsText", "invalid", "returned a state of str", 0),
     "certain": ("CertainOfAll", "invalid", "returned a standard deviation of 0, not above 0", 0),
     "nan-confidence": ("NanConfidence", "invalid", "confidence that is no number (nan)", 0),
 }
