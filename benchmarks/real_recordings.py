@@ -64,10 +64,9 @@ from surgbench.suite.settings import Job
 from surgbench.suite.suites import parse_sets
 from surgbench.tasks.instrument.asked import InstrumentRow
 from surgbench.tasks.instrument.dataset import InstrumentDataset, InstrumentUnit
-from surgbench.tasks.instrument.execute import child_setup, unit_data
+from surgbench.tasks.instrument.in_process import answers
 from surgbench.tasks.instrument.records import InstrumentRecord
 from surgbench.tasks.instrument.units import UnitData
-from surgbench.tasks.instrument.worker import Loop
 from surgbench.trackers.registration.edges import find_edges, missed_edge, missed_lengths
 from surgbench.trackers.registration.jaws import JawJudge
 
@@ -195,14 +194,9 @@ def run(dataset: InstrumentDataset, tracker: str, options: dict[str, Any], seeds
 
 def follow(job: Job, dataset: InstrumentDataset, advance: Callable[[float], None]) -> FloatArray:
     """A job's states, ``(T, 9)``."""
-    data = unit_data(job, dataset)
-    loop = Loop(child_setup(job, data.scene()))
     states = []
-    for frame in range(job.frames):
-        observation = data.observation(frame, data.sequence.mask(data.unit.kind, frame))
-        if frame == 0:
-            loop.begin(observation, loop.initialise(observation, None, lambda _: None))
-        states.append(loop.step(observation).state)
+    for answer in answers(job, dataset):
+        states.append(answer.state)
         advance(1)
     return np.stack(states)
 

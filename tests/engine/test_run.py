@@ -18,8 +18,12 @@ from surgbench.dataset.open import open_as
 from surgbench.generators.generate import generate, plan_dataset
 from surgbench.generators.presets import load_preset
 from surgbench.processes.child import Child, ChildProblemError
+from surgbench.suite.asked import Conditions
 from surgbench.suite.claim import claim
+from surgbench.suite.plan import complete, jobs
+from surgbench.tasks.instrument.asked import InstrumentRow
 from surgbench.tasks.instrument.dataset import InstrumentDataset
+from surgbench.tasks.instrument.in_process import answers
 from surgbench.tasks.instrument.records import InstrumentFrames, InstrumentRecord
 from surgbench.tasks.instrument.replay import replay_traces
 
@@ -279,6 +283,18 @@ def test_dry_run_writes_nothing(dataset: Path, tmp_path: Path, capsys: pytest.Ca
     captured = capsys.readouterr()
     assert "2 runs, 8 frames" in captured.err
     assert captured.out.count(".json") == 2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("filter_name", ["kalman", "truth"])
+def test_a_run_in_this_process_answers_as_a_recorded_one(dataset: Path, tmp_path: Path, filter_name: str) -> None:
+    asked = ("--dataset", dataset, "--sequences", 1, "--filter", filter_name, "--seed", 7)
+    surgbench(*RUN, *asked, "--tracker", "cmaes", "--out", tmp_path)
+    (record,) = records(tmp_path)
+    row = InstrumentRow(tracker="cmaes", keypoints="observed", filter=filter_name, sequences=1)
+    data = open_as(InstrumentDataset, dataset)
+    (job,) = jobs(complete(row, Conditions(seed=7), data), data)
+    assert [answer.state.tolist() for answer in answers(job, data)] == record["frames"]["state"]
 
 
 @pytest.mark.slow
