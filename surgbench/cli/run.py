@@ -28,7 +28,12 @@ def run(
         Literal["single", "dual"] | None, typer.Option(help="Each arm alone, or pairs in one mask.")
     ] = None,
     set_: Annotated[
-        list[str] | None, typer.Option("--set", metavar="NAME.option=value", help="An option; may be repeated.")
+        list[str] | None,
+        typer.Option(
+            "--set",
+            metavar="NAME.option=value",
+            help="An option, of every row in which NAME takes part; may be repeated.",
+        ),
     ] = None,
     sequences: Annotated[
         int | None,
@@ -68,20 +73,21 @@ def run(
     from surgbench.records.reader import read_records
     from surgbench.report.render import print_leaderboard
     from surgbench.report.rows import derive_rows
-    from surgbench.suite.plan import complete
+    from surgbench.suite.plan import complete_all
     from surgbench.suite.plan import jobs as plan_jobs
     from surgbench.suite.run import check_output, make_plan, probe_output
     from surgbench.suite.run import run as run_plan
     from surgbench.suite.running import Run
-    from surgbench.suite.suites import from_command_line, load_suite
+    from surgbench.suite.suites import from_command_line, load_suite, parse_sets
 
     row = {**asked, **_shorthand(asked, joints, no_joints), "sequences": sequences, "frames": frames}
     conditions = {"arms": arms, "seed": seed, "repeats": repeats, "timeout_s": timeout, "device": device}
     base = None if suite is None else load_suite(suite)
-    suite_ = from_command_line(base, tracker or [], row, set_ or [], conditions)
+    suite_ = from_command_line(base, tracker or [], row, conditions)
+    overrides = parse_sets(set_ or [])
     data = open_dataset(dataset)
     check_output(out)
-    planned = [job for one in suite_.rows for job in plan_jobs(complete(one, suite_, data), data)]
+    planned = [job for one in complete_all(suite_.rows, suite_, data, overrides) for job in plan_jobs(one, data)]
     plan = make_plan(planned, out, retry_failed, again)
     words = f"{len(plan.todo) - plan.skipped} runs, {plan.frames} frames to track"
     if plan.skipped:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -37,13 +38,66 @@ def complete(row: RowRequest, conditions: Conditions, dataset: Dataset[Any]) -> 
         NotFoundError: A name that is not registered.
         ConfigError: An option that no plug-in of the row takes, a wrong value, or a device that is not there.
     """
+    settings = _look_up(row, conditions, dataset)
+    _check_part(row.options, _names(settings))
+    return settings
+
+
+def complete_all(
+    rows: Sequence[RowRequest], conditions: Conditions, dataset: Dataset[Any], overrides: dict[str, dict[str, Any]]
+) -> list[Settings]:
+    """Complete several rows, each with those options of the command line that are for a plug-in of its own.
+
+    Args:
+        rows: As :func:`complete` takes them. An option that a row itself has must be for a plug-in of that row.
+        conditions: What all rows of the run share.
+        dataset: What they are to be run on.
+        overrides: Plug-in name to its options, which count before the rows' own.
+
+    Raises:
+        NotFoundError: A name that is not registered.
+        ConfigError: As :func:`complete`, or an override for what takes part in no row.
+    """
+    completed = []
+    for row in rows:
+        settings = _look_up(row.model_copy(update={"options": _merged(row.options, overrides)}), conditions, dataset)
+        _check_part(row.options, _names(settings))
+        completed.append(settings)
+    _check_part(overrides, dict.fromkeys(name for settings in completed for name in _names(settings)))
+    return completed
+
+
+def _look_up(row: RowRequest, conditions: Conditions, dataset: Dataset[Any]) -> Settings:
+    """A row's settings; options of plug-ins that take no part in it are passed over."""
     task = find_task(dataset.task)
     settings = task.complete(_own(row, task.row, dataset), conditions, dataset)
-    names = tuple(one.name for one in settings.plugs)
-    for name in row.options:
-        if name not in names:
-            raise ConfigError(f"--set {name}.…: '{name}' takes no part in this run (taking part: {', '.join(names)})")
     return replace(settings, engine=_engine(task, settings))
+
+
+def _names(settings: Settings) -> list[str]:
+    return [one.name for one in settings.plugs]
+
+
+def _check_part(options: Iterable[str], names: Iterable[str]) -> None:
+    """See that every plug-in with options takes part.
+
+    Raises:
+        ConfigError: One does not.
+    """
+    taking_part = list(names)
+    for name in options:
+        if name not in taking_part:
+            raise ConfigError(
+                f"--set {name}.…: '{name}' takes no part in this run (taking part: {', '.join(taking_part)})"
+            )
+
+
+def _merged(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
+    merged = dict(base)
+    for key, value in over.items():
+        both = isinstance(value, dict) and isinstance(merged.get(key), dict)
+        merged[key] = _merged(merged[key], value) if both else value
+    return merged
 
 
 def _engine(task: Task, settings: Settings) -> str:

@@ -39,7 +39,7 @@ def load_suite(reference: str) -> Suite:
 
 
 def from_command_line(
-    base: Suite | None, trackers: list[str], row: dict[str, Any], sets: list[str], conditions: dict[str, Any]
+    base: Suite | None, trackers: list[str], row: dict[str, Any], conditions: dict[str, Any]
 ) -> Suite:
     """Rows for the trackers of the command line, or a suite's rows with what the command line overrides.
 
@@ -47,21 +47,19 @@ def from_command_line(
         base: The suite asked for, if any.
         trackers: References of ``--tracker``.
         row: Settings for every row; ``None`` where the command line says nothing.
-        sets: Texts of ``--set``, ``NAME.option=value``.
         conditions: Seed and the like; ``None`` where the command line says nothing.
 
     Raises:
-        ConfigError: Both or neither of suite and trackers, or a malformed ``--set``.
+        ConfigError: Both or neither of suite and trackers.
     """
     if (base is None) == (not trackers):
         raise ConfigError("say what to run: --tracker NAME (see: surgbench list trackers), or --suite NAME, not both")
     given = {key: value for key, value in row.items() if value is not None}
-    options = parse_sets(sets)
     kept: dict[str, Any] = {}
     if base is None:
-        rows = [{"tracker": tracker, "options": options, **given} for tracker in trackers]
+        rows = [{"tracker": tracker, **given} for tracker in trackers]
     else:
-        rows = [{**one.model_dump(mode="json"), **given, "options": _merged(one.options, options)} for one in base.rows]
+        rows = [{**one.model_dump(mode="json"), **given} for one in base.rows]
         kept = base.model_dump(mode="json", exclude={"rows"})
     changed = {key: value for key, value in conditions.items() if value is not None}
     return parse_model(_suite(), {"rows": rows, **kept, **changed}, "command line")
@@ -90,11 +88,3 @@ def parse_sets(sets: list[str]) -> dict[str, dict[str, Any]]:
                 raise ConfigError(f"--set {text}: '{part}' is set to a value already")
         here[path[-1]] = parsed
     return options
-
-
-def _merged(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
-    merged = dict(base)
-    for key, value in over.items():
-        both = isinstance(value, dict) and isinstance(merged.get(key), dict)
-        merged[key] = _merged(merged[key], value) if both else value
-    return merged

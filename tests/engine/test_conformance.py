@@ -53,8 +53,8 @@ def test_every_tracker_of_ours_keeps_the_rules(name: str) -> None:
     ("name", "check", "message"),
     [
         ("ReturnsNan", "plain sequence", "frame 0: step returned a state with NaN"),
-        ("ReturnsShape", "plain sequence", "returned shape (7,), not (9,)"),
-        ("ReturnsText", "plain sequence", "returned str"),
+        ("ReturnsShape", "plain sequence", "returned a state of shape (7,), not (9,)"),
+        ("ReturnsText", "plain sequence", "returned a state of str"),
         ("CertainOfAll", "plain sequence", "returned a standard deviation of 0, not above 0"),
         ("NanConfidence", "plain sequence", "confidence that is no number"),
         ("Raises", "plain sequence", "RuntimeError: no instrument anywhere"),
@@ -73,7 +73,7 @@ def test_every_tracker_of_ours_keeps_the_rules(name: str) -> None:
         ("NeedsTips", "no keypoints", "AttributeError"),
         ("NeedsReadings", "readings", "AttributeError"),
         ("LostBehindTheCamera", "strange starts", "a search that starts behind the camera: "),
-        ("OneArmInSilence", "two arms", "returned shape (9,), not (18,)"),
+        ("OneArmInSilence", "two arms", "returned a state of shape (9,), not (18,)"),
         ("ShowsOthers", "candidates", "the estimates change when 'trace' is set"),
     ],
 )

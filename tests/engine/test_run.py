@@ -18,8 +18,12 @@ from surgbench.dataset.open import open_as
 from surgbench.generators.generate import generate, plan_dataset
 from surgbench.generators.presets import load_preset
 from surgbench.processes.child import Child, ChildProblemError
+from surgbench.suite.asked import Conditions
 from surgbench.suite.claim import claim
+from surgbench.suite.plan import complete, jobs
+from surgbench.tasks.instrument.asked import InstrumentRow
 from surgbench.tasks.instrument.dataset import InstrumentDataset
+from surgbench.tasks.instrument.in_process import answers
 from surgbench.tasks.instrument.records import InstrumentFrames, InstrumentRecord
 from surgbench.tasks.instrument.replay import replay_traces
 
@@ -127,8 +131,8 @@ FAILING = {
     "raises": ("Raises", "failed", "RuntimeError: no instrument anywhere", 1),
     "exits": ("Exits", "exited", "exited with code 3", 0),
     "returns-nan": ("ReturnsNan", "invalid", "NaN", 0),
-    "returns-shape": ("ReturnsShape", "invalid", "returned shape (7,), not (9,)", 0),
-    "returns-text": ("ReturnsText", "invalid", "returned str", 0),
+    "returns-shape": ("ReturnsShape", "invalid", "returned a state of shape (7,), not (9,)", 0),
+    "returns-text": ("ReturnsText", "invalid", "returned a state of str", 0),
     "certain": ("CertainOfAll", "invalid", "returned a standard deviation of 0, not above 0", 0),
     "nan-confidence": ("NanConfidence", "invalid", "confidence that is no number (nan)", 0),
 }
@@ -282,6 +286,18 @@ def test_dry_run_writes_nothing(dataset: Path, tmp_path: Path, capsys: pytest.Ca
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("filter_name", ["kalman", "truth"])
+def test_a_run_in_this_process_answers_as_a_recorded_one(dataset: Path, tmp_path: Path, filter_name: str) -> None:
+    asked = ("--dataset", dataset, "--sequences", 1, "--filter", filter_name, "--seed", 7)
+    surgbench(*RUN, *asked, "--tracker", "cmaes", "--out", tmp_path)
+    (record,) = records(tmp_path)
+    row = InstrumentRow(tracker="cmaes", keypoints="observed", filter=filter_name, sequences=1)
+    data = open_as(InstrumentDataset, dataset)
+    (job,) = jobs(complete(row, Conditions(seed=7), data), data)
+    assert [answer.state.tolist() for answer in answers(job, data)] == record["frames"]["state"]
+
+
+@pytest.mark.slow
 def test_a_suite_file_runs_its_rows(dataset: Path, tmp_path: Path) -> None:
     suite = tmp_path / "suite.yaml"
     suite.write_text(
@@ -296,6 +312,59 @@ def test_a_suite_file_runs_its_rows(dataset: Path, tmp_path: Path) -> None:
     assert by_row["cmaes"]["tracker"]["options"]["iterations"] == 3
     assert all(spec["tracker"]["options"]["population"] == 10 for spec in by_row.values())
     assert all(spec["seed"] == 3 for spec in by_row.values())
+
+
+def dry_run(capsys: pytest.CaptureFixture[str], *arguments: object) -> dict[str, list[str]]:
+    """Records that a command would make, by row; their folders tell the rows' settings."""
+    capsys.readouterr()
+    surgbench(*RUN, *arguments, "--dry-run")
+    paths = [Path(line) for line in capsys.readouterr().out.splitlines()]
+    rows = {path.parent.name.rpartition("-")[0] for path in paths}
+    return {row: [str(path) for path in paths if path.parent.name.rpartition("-")[0] == row] for row in rows}
+
+
+def test_an_option_is_set_in_the_rows_in_which_its_plug_in_takes_part(
+    dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    both = ("--dataset", dataset, "--tracker", "cmaes", "--tracker", "xnes", "--out", tmp_path / "runs")
+    before = dry_run(capsys, *both)
+    one = dry_run(capsys, *both, "--set", "cmaes.iterations=1")
+    assert set(before) == set(one) == {"cmaes", "xnes"}
+    assert one["xnes"] == before["xnes"]
+    assert one["cmaes"] != before["cmaes"]
+    assert one["cmaes"] == dry_run(capsys, *both[:4], *both[6:], "--set", "cmaes.iterations=1")["cmaes"]
+    shared = dry_run(capsys, *both, "--set", "kalman.noise=published")
+    assert shared["cmaes"] != before["cmaes"]
+    assert shared["xnes"] != before["xnes"]
+
+
+def test_an_option_is_set_in_those_rows_of_a_suite_too(
+    dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    suite = tmp_path / "suite.yaml"
+    suite.write_text("rows: [{tracker: cmaes, options: {cmaes: {population: 10}}}, {tracker: xnes}]\n")
+    asked = ("--dataset", dataset, "--suite", suite, "--out", tmp_path / "runs")
+    before, after = dry_run(capsys, *asked), dry_run(capsys, *asked, "--set", "xnes.iterations=1")
+    assert after["cmaes"] == before["cmaes"]
+    assert after["xnes"] != before["xnes"]
+
+
+def test_an_option_that_no_row_takes_is_refused(
+    dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    asked = ("--dataset", dataset, "--tracker", "cmaes", "--tracker", "xnes", "--out", tmp_path / "runs")
+    surgbench(*RUN, *asked, "--set", "pycma.iterations=1", expect=2)
+    complaint = capsys.readouterr().err
+    assert "'pycma' takes no part in this run (taking part: cmaes, truth, kalman, observed, xnes)" in complaint
+
+
+def test_an_option_of_a_suites_row_must_be_for_that_row(
+    dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    suite = tmp_path / "suite.yaml"
+    suite.write_text("rows: [{tracker: cmaes, options: {xnes: {iterations: 1}}}, {tracker: xnes}]\n")
+    surgbench(*RUN, "--dataset", dataset, "--suite", suite, "--out", tmp_path / "runs", expect=2)
+    assert "'xnes' takes no part in this run (taking part: cmaes," in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

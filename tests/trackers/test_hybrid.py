@@ -22,8 +22,7 @@ from surgbench.state import BETA, JOINTS, STATE_SCALE, STATE_SIZE
 from surgbench.trackers.hybrid import HybridTracker
 from surgbench.trackers.registration.belief import MotionBelief
 from surgbench.trackers.registration.edges import (
-    explained_contour,
-    explained_edge,
+    explained_lengths,
     find_edges,
     missed_edge,
     missed_lengths,
@@ -89,12 +88,13 @@ def test_a_missing_jaw_is_an_unexplained_edge_and_an_unexplained_contour(camera:
     # The right jaw stays where it is, the left one comes to lie upon it.
     closed[7], closed[8] = state[7] - state[8], 0.0
     mask, other = evaluator.mask(state), evaluator.mask(closed)
-    assert explained_edge(mask, mask, 2) == 1.0
-    assert explained_edge(mask, other, 2) < 0.9
+    assert missed_edge(mask, mask, 2, 2).explained == 1.0
+    assert missed_edge(mask, other, 2, 2).explained < 0.9
     contour = evaluator.contour_points(state, 1)
-    assert explained_contour(contour, find_edges(contour, mask, 10), 0.0, 2.0) > 0.99
-    assert explained_contour(contour, find_edges(contour, other, 10), 0.0, 2.0) < 0.9
-    assert explained_edge(np.zeros_like(mask), mask, 2) == 1.0
+    for observed, least, most in ((mask, 0.99, 1.0), (other, 0.0, 0.9)):
+        near_px, length_px = explained_lengths(contour, find_edges(contour, observed, 10), 0.0, 2.0)
+        assert least < near_px / length_px <= most
+    assert missed_edge(np.zeros_like(mask), mask, 2, 2).explained == 1.0
 
 
 def judged(scene: Scene, state: FloatArray, mask: Mask) -> float:

@@ -167,12 +167,6 @@ def missed_lengths(
     return of_missed, of_all
 
 
-def explained_contour(contour: ContourPoints, offsets_px: FloatArray, common_px: float, tolerance_px: float) -> float:
-    """Share of the predicted contour's length that has an observed edge within a tolerance; 1 for no contour."""
-    near, total = explained_lengths(contour, offsets_px, common_px, tolerance_px)
-    return near / total if total > 0 else 1.0
-
-
 class MissedEdge(NamedTuple):
     """What of an observed mask's edge lies near no edge of a silhouette.
 
@@ -220,8 +214,3 @@ def missed_edge(mask: Mask, silhouette: Mask, tolerance_px: int, wider_px: int) 
 def _near_an_edge(silhouette: NDArray[np.uint8], tolerance_px: int) -> Mask:
     square = np.ones((2 * tolerance_px + 1, 2 * tolerance_px + 1), np.uint8)
     return np.asarray(cv2.dilate(silhouette, square) > cv2.erode(silhouette, square))
-
-
-def explained_edge(mask: Mask, silhouette: Mask, tolerance_px: int) -> float:
-    """Share of the observed mask's edge pixels that lie near an edge of a silhouette; 1 for an empty mask."""
-    return missed_edge(mask, silhouette, tolerance_px, tolerance_px).explained

@@ -280,6 +280,10 @@ def _offsets(seen: FloatArray, projected: FloatArray, width_px: float) -> tuple[
     Two seen tips go with the projected ones in the nearer way round. A single one may be either: it goes with the
     nearer, and counts by how much likelier it is that one; nothing where both lie alike, for drawing both would close
     the jaws.
+
+    The loss's ``KeypointTerm`` chooses too, but by lengths beyond a tolerance, in the form of a publication, and with a
+    single tip takes the nearer alone: where tips lie close together it chooses otherwise. What is nearer here is what
+    the fit minimises, squares.
     """
     if len(seen) == 1:
         off = seen - projected

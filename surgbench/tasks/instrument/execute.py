@@ -70,6 +70,13 @@ def true_states(job: Job, data: UnitData) -> FloatArray | None:
     return data.truth.reshape(data.frames, -1)
 
 
+def first_truth(job: Job, data: UnitData) -> FloatArray | None:
+    """What an initialiser with ``needs_truth`` is given, ``(9 * arms,)``; ``None`` for any other."""
+    if data.truth is None or not own_settings(job).initialiser.needs_truth:
+        return None
+    return np.asarray(data.truth[0].reshape(-1))
+
+
 def execute(job: Job, dataset: InstrumentDataset, run: Run) -> dict[str, Any]:
     """Run a job in a child process and measure what it estimated; see :meth:`surgbench.task.Task.execute`."""
     settings = own_settings(job)
@@ -108,10 +115,8 @@ def execute(job: Job, dataset: InstrumentDataset, run: Run) -> dict[str, Any]:
 
 def _initialise(child: Child, job: Job, data: UnitData, observation: Observation, run: Run) -> float:
     """Have the first frame's state found; returns the seconds that it took."""
-    settings = own_settings(job)
-    truth = data.truth[0].reshape(-1) if data.truth is not None and settings.initialiser.needs_truth else None
-    label = f"{settings.row_id} {job.unit.id}: finding the instrument"
-    child.send("first", observation, truth, true_states(job, data))
+    label = f"{own_settings(job).row_id} {job.unit.id}: finding the instrument"
+    child.send("first", observation, first_truth(job, data), true_states(job, data))
     while (message := child.receive())[0] == "progress":
         run.stage(label, message[1])
     run.stage(label, 1.0)

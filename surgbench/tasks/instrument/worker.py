@@ -73,15 +73,7 @@ def check_state(value: Any, size: int, who: str) -> FloatArray:
     Raises:
         InvalidAnswerError: It is something else; one line that says what.
     """
-    try:
-        state = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise InvalidAnswerError(f"{who} returned {type(value).__name__}, not an array of {size} numbers") from None
-    if state.shape != (size,):
-        raise InvalidAnswerError(f"{who} returned shape {state.shape}, not ({size},)")
-    if not np.isfinite(state).all():
-        raise InvalidAnswerError(f"{who} returned a state with NaN or infinity")
-    return state
+    return _finite(value, size, f"{who} returned a state")
 
 
 def check_confidence(value: Any, who: str) -> float:
@@ -107,19 +99,23 @@ def check_standard_deviations(value: Any, size: int, who: str) -> FloatArray | N
     """
     if value is None:
         return None
-    try:
-        deviations = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise InvalidAnswerError(
-            f"{who} returned standard deviations of {type(value).__name__}, not an array of {size} numbers"
-        ) from None
-    if deviations.shape != (size,):
-        raise InvalidAnswerError(f"{who} returned standard deviations of shape {deviations.shape}, not ({size},)")
-    if not np.isfinite(deviations).all():
-        raise InvalidAnswerError(f"{who} returned standard deviations with NaN or infinity")
+    deviations = _finite(value, size, f"{who} returned standard deviations")
     if (deviations <= 0).any():
         raise InvalidAnswerError(f"{who} returned a standard deviation of {deviations.min():g}, not above 0")
     return deviations
+
+
+def _finite(value: Any, size: int, returned: str) -> FloatArray:
+    """An answer as a finite ``(size,)`` array of its own; ``returned`` says whose it is, and what."""
+    try:
+        array = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InvalidAnswerError(f"{returned} of {type(value).__name__}, not an array of {size} numbers") from None
+    if array.shape != (size,):
+        raise InvalidAnswerError(f"{returned} of shape {array.shape}, not ({size},)")
+    if not np.isfinite(array).all():
+        raise InvalidAnswerError(f"{returned} with NaN or infinity")
+    return array
 
 
 class Loop:

@@ -1,0 +1,27 @@
+"""A run in this process and without a record, for those who look at a tracker's answers themselves."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from surgbench.suite.settings import Job
+from surgbench.tasks.instrument.dataset import InstrumentDataset
+from surgbench.tasks.instrument.execute import child_setup, first_truth, true_states, unit_data
+from surgbench.tasks.instrument.worker import Answer, Loop
+
+
+def answers(job: Job, dataset: InstrumentDataset) -> Iterator[Answer]:
+    """What a job's tracker answers, frame by frame, with the seeds that a recorded run has.
+
+    Args:
+        job: What is run.
+        dataset: On what.
+    """
+    data = unit_data(job, dataset)
+    loop = Loop(child_setup(job, data.scene()))
+    for frame in range(job.frames):
+        observation = data.observation(frame, data.sequence.mask(data.unit.kind, frame))
+        if frame == 0:
+            state = loop.initialise(observation, first_truth(job, data), lambda _: None)
+            loop.begin(observation, state, true_states(job, data))
+        yield loop.step(observation)
