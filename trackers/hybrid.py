@@ -58,8 +58,7 @@ JAW_PX = 3
 BEST_JAWS = 0.15  # what masks leave unexplained of jaws that are right, of their own contour
 BEST_UNEXPLAINED = 0.02  # what masks leave unexplained of a right state
 LOOK_EVERY = 3  # frames
-LOOKS_BETTER = 0.9  # share of the loss that another place of a jaw has to have
-DEBUG = None
+LOOKS_BETTER = 0.85  # share of the loss that another place of a jaw has to have
 SAME = 1.0  # jump cost within which two hypotheses are one
 
 
@@ -71,6 +70,8 @@ class Hypothesis:
         belief: What it says of the frame to come.
         state: Its last estimate.
         cost: How badly it explained the last frames, the latest most.
+        jump: How unlikely the jump was that it began with, beside the story that goes on. Unlike the cost it isn't
+            forgotten while both are followed, so that of two which the masks do not tell apart the one without stays.
         iou: Overlap of its silhouette with the mask.
         explained: Share of its contour that has an edge in the mask.
         explained_mask: Share of the mask's edge that has a contour.
@@ -84,6 +85,12 @@ class Hypothesis:
     explained: float = 1.0
     explained_mask: float = 1.0
     missed_jaws: float = 0.0
+    jump: float = 0.0
+
+    @property
+    def total(self) -> float:
+        """What stories are compared by."""
+        return self.cost + self.jump
 
 
 class HybridTracker(InstrumentTracker):
@@ -167,7 +174,7 @@ class HybridTracker(InstrumentTracker):
         for k, hypothesis in enumerate(self._hypotheses):
             self._follow(hypothesis, observation, observation.start if k == 0 else None, seen)
         self._begun = True
-        best = min(self._hypotheses, key=lambda h: h.cost)
+        best = min(self._hypotheses, key=lambda h: h.total)
         slipped = min(best.explained, best.explained_mask) < config.explained or best.missed_jaws > config.jaws
         if seen and config.samples and slipped:
             if self._pause > 0:
@@ -269,12 +276,10 @@ class HybridTracker(InstrumentTracker):
             )
             candidate = Hypothesis(best.belief, fit.state, 0.0)
             self._take(candidate, fit, observation)
-            candidate.cost = self._frame_cost(candidate) + jump_cost(fit.state, last)
-            if found is None or candidate.cost < found.cost:
+            candidate.cost, candidate.jump = self._frame_cost(candidate), jump_cost(fit.state, last)
+            if found is None or candidate.total < found.total:
                 found = candidate
         assert found is not None
-        before = best.cost - self._frame_cost(best)
-        found.cost += before
         return self._adopt(found, best)
 
     def _look_at_jaws(self, best: Hypothesis, last: FloatArray, observation: Observation) -> None:
@@ -290,16 +295,22 @@ class HybridTracker(InstrumentTracker):
         k = int(np.argmin(np.where(elsewhere, losses, np.inf)))
         if losses[k] > LOOKS_BETTER * losses[0]:
             return
-        fit = self._fit(states[k], observation, best.belief.prior_at(states[k], self._drawn), iterations=8, spacing_px=3)
+        fit = self._fit(
+            states[k], observation, best.belief.prior_at(states[k], self._drawn), iterations=8, spacing_px=3
+        )
         found = Hypothesis(best.belief, fit.state, 0.0)
         self._take(found, fit, observation)
-        if DEBUG is not None: DEBUG.append((observation.index, losses[0], losses[k], self._frame_cost(best), self._frame_cost(found), jump_cost(fit.state,last), best.cost))
-        found.cost = best.cost - self._frame_cost(best) + self._frame_cost(found) + jump_cost(fit.state, last)
+        found.cost, found.jump = self._frame_cost(found), jump_cost(fit.state, last)
         self._adopt(found, best)
 
     def _adopt(self, found: Hypothesis, best: Hypothesis) -> bool:
-        """Follow a story beside the best one, unless it is far worse or one that is followed already."""
-        if found.cost > best.cost + self.config.given_up or any(
+        """Follow a story beside the best one, unless it is far worse or one that is followed already.
+
+        Its cost is that of this frame: what was before they share.
+        """
+        found.cost += best.cost - self._frame_cost(best)
+        found.jump += best.jump
+        if found.total > best.total + self.config.given_up or any(
             jump_cost(found.state, other.state) < SAME for other in self._hypotheses
         ):
             return False
@@ -323,8 +334,10 @@ class HybridTracker(InstrumentTracker):
     def _sort(self) -> None:
         """Best first; without those that have become another's double, or have been outdone."""
         kept: list[Hypothesis] = []
-        for one in sorted(self._hypotheses, key=lambda h: h.cost):
-            outdone = kept and one.cost > kept[0].cost + self.config.given_up
+        for one in sorted(self._hypotheses, key=lambda h: h.total):
+            outdone = kept and one.total > kept[0].total + self.config.given_up
             if not outdone and all(jump_cost(one.state, other.state) >= SAME for other in kept):
                 kept.append(one)
         self._hypotheses = kept[: self.config.hypotheses]
+        if len(self._hypotheses) == 1:
+            self._hypotheses[0].jump = 0.0

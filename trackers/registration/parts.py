@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from surgbench.contract import Mask
+from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument
 from surgbench.silhouette import ContourPoints
 
@@ -27,7 +28,20 @@ class Parts:
         self._wrist[:, 0] = False
         for row, one in zip(self._wrist, instruments, strict=True):
             row[[one.link_index[tip.link] for tip in one.spec.tips]] = False
+        self._jaws = [[one.link_index[tip.link] for tip in one.spec.tips] for one in instruments]
 
     def on_wrist(self, contour: ContourPoints) -> Mask:
         """``(K,)`` which of K points lie on a wrist."""
         return np.asarray(self._wrist[contour.arm, contour.link])
+
+    def shows(self, contour: ContourPoints, arm: int, tips_px: FloatArray, within_px: float) -> Mask:
+        """``(2,)`` which of an arm's tips, at ``(2, 2)``, the silhouette shows: the contour of their jaws passes there.
+
+        A detector that has two tips to name takes something else for one that the other jaw or the wrist hides.
+        """
+        shown = np.zeros(len(tips_px), dtype=bool)
+        for tip, link in enumerate(self._jaws[arm]):
+            own = contour.points_px[(contour.arm == arm) & (contour.link == link)]
+            off = own - tips_px[tip]
+            shown[tip] = bool((np.hypot(off[:, 0], off[:, 1]) < within_px).any())
+        return shown

@@ -30,6 +30,7 @@ FEWEST_POINTS = 8
 MEDIAN_TO_SD = 1.4826  # standard deviation over median of absolute deviations, of Gaussian numbers
 MEMORY = 0.9  # of how wrong edges are, from frame to frame
 TIP_WIDTH = 3.0  # standard deviations of a tip beyond which it counts ever less
+SHOWS_PX = 5.0  # from a tip to the contour of its jaw, where the silhouette shows it
 NARROWING = 0.6  # of the robust width, from one iteration to the next
 EXPLAINED_PX = 2.0
 JAW_PX = 3.0  # jaws of real instruments are thicker or thinner than ours by as much
@@ -265,6 +266,7 @@ class ViewFit:
             # Of the jaws' length no tip is asked: a detector is wrong by more.
             J = self._jacobian(state, own, gradient, np.zeros((4, len(self._shape.scale)))) * self._scale
             distance = np.linalg.norm(off, axis=1).repeat(2)
+            share = share * self._parts.shows(self._seen[0], arm, projected[arm], SHOWS_PX)
             weight = share.repeat(2) / (sd * (1.0 + (distance / (TIP_WIDTH * sd)) ** 2)) ** 2
             A[:size, :size] += (J * weight[:, None]).T @ J
             b[:size] += (J * weight[:, None]).T @ off.reshape(4)
