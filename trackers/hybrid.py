@@ -195,6 +195,12 @@ class HybridTracker(InstrumentTracker):
             standard_deviations=self._stated(best.belief),
         )
 
+    @property
+    def shape(self) -> FloatArray:
+        """``(m,)`` what was learned so far of instruments and camera (:class:`Shape`), by the best story."""
+        shape: FloatArray = self._hypotheses[0].belief.shape
+        return shape
+
     def _follow(self, hypothesis: Hypothesis, observation: Observation, start: FloatArray | None, seen: bool) -> None:
         belief, config = hypothesis.belief, self.config
         if self._begun:

@@ -14,6 +14,7 @@ from surgbench.geometry import FloatArray, wrap_angle
 from surgbench.state import JOINTS, POSITION, STATE_SIZE
 from surgbench.trackers.registration.fit import Prior
 
+NO_SHAPE = np.zeros(0)
 SHAPE_DRIFT = 0.01  # natural steps a frame: a recording's instrument and camera stay, but for what is not known of them
 
 
@@ -27,7 +28,8 @@ class MotionBelief:
         velocity: ``(n,)`` standard deviation of the velocities at the beginning, per s.
         bias_rad: Standard deviation of the readings' biases.
         bias_drift_rad: How much they change from frame to frame.
-        shape_scale: ``(m,)`` natural step of each unknown of the shape, and what it is expected to be.
+        shape_scale: ``(m,)`` natural step of each unknown of the shape, its standard deviation before the first
+            frame; none unless told.
     """
 
     def __init__(
@@ -38,7 +40,7 @@ class MotionBelief:
         velocity: FloatArray,
         bias_rad: float,
         bias_drift_rad: float,
-        shape_scale: FloatArray,
+        shape_scale: FloatArray = NO_SHAPE,
     ) -> None:
         n = len(scale)
         self._scale = scale
@@ -102,11 +104,17 @@ class MotionBelief:
         return Prior(np.concatenate([state, own.mean[n:]]), both)
 
     @property
+    def shape(self) -> FloatArray:
+        """``(m,)`` mean of the shape."""
+        n = len(self._scale)
+        return np.asarray(self._mean[self._told[n:]] * self._told_scale[n:])
+
+    @property
     def departure(self) -> float:
         """How far the shape is known to be off the declared one: root mean square over its unknowns, natural steps."""
         shape = self._told[len(self._scale) :]
         beyond = self._mean[shape] ** 2 - np.diag(self._covariance)[shape]
-        return float(np.sqrt(max(beyond.mean(), 0.0)))
+        return float(np.sqrt(max(beyond.mean(), 0.0))) if len(shape) else 0.0
 
     def predict(self) -> None:
         """Advance by one frame."""

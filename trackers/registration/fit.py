@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from surgbench.contract import Observation, Scene
 from surgbench.geometry import FloatArray
@@ -18,6 +19,7 @@ from surgbench.trackers.registration.view_fit import FitConfig, ViewFit
 
 LONGEST_STEP = 4.0  # natural steps
 SETTLED = 0.02  # natural steps
+CERTAIN = 1e9  # information, natural steps
 
 
 class Fit(NamedTuple):
@@ -95,13 +97,16 @@ class ContourFit:
         Args:
             state: ``(n,)`` where to begin.
             observation: Masks and keypoints of the scene's views.
-            prior: What is believed before.
+            prior: What is believed before. One of the state alone takes instruments and camera to be as declared.
             iterations: Instead of the configured number.
             spacing_px: Instead of the configured one.
             tips: Fit to the tips too. Without, no view's tips are looked at, and no detector is waited for.
         """
         config, scale = self._config, self._scale
         n = len(state)
+        if len(prior.mean) == n:
+            known = np.diag(np.full(len(self.shape.scale), CERTAIN))
+            prior = Prior(np.append(prior.mean, np.zeros(len(known))), block_diag(prior.information, known))
         fit = Fit(state, prior.mean[n:], np.zeros_like(prior.information), 0.0, 1.0, np.zeros((0, 0)), np.zeros((0, 0)))
         # Of a frame's fits the first is that of the story that was the best so far.
         first, self._frame = observation.index != self._frame, observation.index

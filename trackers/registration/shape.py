@@ -9,9 +9,12 @@ for no silhouette tells either from the distance; nor is the wrist's thickness, 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
+from numba import njit
 
 from surgbench.camera import Camera
 from surgbench.geometry import FloatArray
@@ -19,9 +22,12 @@ from surgbench.instrument import Instrument
 from surgbench.silhouette import ContourPoints
 from surgbench.state import POSITION, STATE_SIZE, split_arms
 
+X = POSITION.start
+
 # Of each arm: how far the shaft's surface and the jaws' lie outside the modelled one, in relation to the wrist's, and
 # how much longer the jaws are, metres; of the camera: by how much fx is larger and fy smaller than declared, a share.
 OF_ARM = np.array([2e-4, 2e-4, 4e-4])
+OF_ARM_COUNT = len(OF_ARM)
 OF_CAMERA = np.array([1e-2])
 
 
@@ -39,6 +45,7 @@ class Shape:
     def __init__(self, instruments: Sequence[Instrument]) -> None:
         self._instruments = tuple(instruments)
         self._jaws = [[one.link_index[tip.link] for tip in one.spec.tips] for one in instruments]
+        self._links = np.array(self._jaws)
         self._tips_m = [np.array([tip.point_m for tip in one.spec.tips]) for one in instruments]
         self.scale: FloatArray = np.concatenate([*[OF_ARM] * len(instruments), OF_CAMERA])
 
@@ -54,41 +61,45 @@ class Shape:
         Returns:
             ``(K, m)`` pixels per metre, or per share.
         """
-        count, places = len(OF_ARM), split_arms(state)
-        columns = np.zeros((len(contour.arm), len(self.scale)))
-        gradient = contour.jacobian.reshape(len(columns), len(places), STATE_SIZE)[..., POSITION]
+        places = split_arms(state)
+        # Where each jaw begins in the view's frame, which way it goes, and how far to its tip.
+        jaws = np.empty((len(places), len(self._jaws[0]), 7))
         for arm, one in enumerate(places):
-            first = count * arm
-            on_arm = contour.arm == arm
-            on_shaft, on_jaws = contour.link == 0, np.isin(contour.link, self._jaws[arm])
-            outward = _outward(gradient[:, arm])
-            for column, part in enumerate((on_shaft, on_jaws)):
-                columns[:, first + column] = np.where(on_arm & part, outward, 0.0)
             transforms = self._instruments[arm].link_transforms(one)
-            for link, tip_m in zip(self._jaws[arm], self._tips_m[arm], strict=True):
-                on_jaw = np.flatnonzero(on_arm & (contour.link == link))
-                if not len(on_jaw):
-                    continue
-                length_m = float(np.linalg.norm(tip_m))
-                origin, along = transforms[link][:3, 3], transforms[link][:3, :3] @ (tip_m / length_m)
-                share = _share(contour.points_px[on_jaw], outward[on_jaw], camera, origin, along) / length_m
-                columns[on_jaw, first + 2] = np.clip(share, 0.0, 1.0) * (gradient[on_jaw, arm] @ along)
-        if reference:
-            off = (contour.points_px - [camera.cx, camera.cy]) * contour.normals
-            columns[:, -1] = off[:, 0] - off[:, 1]
+            for jaw, (link, tip_m) in enumerate(zip(self._jaws[arm], self._tips_m[arm], strict=True)):
+                length_m = math.sqrt(tip_m @ tip_m)
+                jaws[arm, jaw, :3] = transforms[link][:3, 3]
+                jaws[arm, jaw, 3:6] = transforms[link][:3, :3] @ (tip_m / length_m)
+                jaws[arm, jaw, 6] = length_m
+        columns = np.zeros((len(contour.arm), len(self.scale)))
+        lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
+        _fill(contour.points_px, contour.normals, contour.arm, contour.link, contour.jacobian, self._links, jaws, lens,
+              reference, columns)  # fmt: skip
         return columns
 
 
-def _outward(gradient: FloatArray) -> FloatArray:
-    """Pixels per metre that a surface seen edge-on moves as it grows: ``f / z`` of points whose gradients are these."""
-    return np.asarray(np.hypot(gradient[:, 0], gradient[:, 1]))
-
-
-def _share(
-    points_px: FloatArray, outward: FloatArray, camera: Camera, origin: FloatArray, along: FloatArray
-) -> FloatArray:
-    """How far along an axis from its origin points lie, metres, from their pixels and their ``f / z``."""
-    focal = np.array([camera.fx, camera.fy])
-    depth = focal.mean() / outward
-    places = np.column_stack([(points_px - [camera.cx, camera.cy]) / focal * depth[:, None], depth])
-    return np.asarray((places - origin) @ along)
+@njit(cache=True, nogil=True, error_model="numpy")
+def _fill(
+    points: Any, normals: Any, arms: Any, links: Any, gradient: Any, jaw_links: Any, jaws: Any, lens: Any,
+    reference: bool, columns: Any,
+) -> None:  # fmt: skip
+    fx, fy, cx, cy = lens
+    last = columns.shape[1] - 1
+    for k in range(points.shape[0]):
+        arm, link, u, v = arms[k], links[k], points[k, 0] - cx, points[k, 1] - cy
+        first, place = OF_ARM_COUNT * arm, STATE_SIZE * arm + X
+        gx, gy, gz = gradient[k, place], gradient[k, place + 1], gradient[k, place + 2]
+        outward = np.hypot(gx, gy)  # f / z, for the normal is of unit length
+        if link == 0:
+            columns[k, first] = outward
+        for jaw in range(jaw_links.shape[1]):
+            if link != jaw_links[arm, jaw]:
+                continue
+            columns[k, first + 1] = outward
+            x, y, z, dx, dy, dz, length_m = jaws[arm, jaw]
+            depth = 0.5 * (fx + fy) / outward
+            along_m = (u / fx * depth - x) * dx + (v / fy * depth - y) * dy + (depth - z) * dz
+            share = min(max(along_m / length_m, 0.0), 1.0)  # a longer jaw moves most at its tip
+            columns[k, first + 2] = share * (gx * dx + gy * dy + gz * dz)
+        if reference:
+            columns[k, last] = u * normals[k, 0] - v * normals[k, 1]
