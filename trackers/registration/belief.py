@@ -15,7 +15,7 @@ from surgbench.state import JOINTS, POSITION, STATE_SIZE
 from surgbench.trackers.registration.fit import Prior
 
 NO_SHAPE = np.zeros(0)
-SHAPE_DRIFT = 0.01  # natural steps a frame: a recording's instrument and camera stay, but for what is not known of them
+SHAPE_DRIFT = 0.001  # natural steps a frame: instrument and camera stay what they are
 
 
 class MotionBelief:
