@@ -10,6 +10,7 @@ a few generations of CMA-ES, refined, and followed beside it as hypotheses of th
 from __future__ import annotations
 
 import copy
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Annotated, ClassVar
 
@@ -25,16 +26,16 @@ from surgbench.silhouette import SilhouetteEvaluator
 from surgbench.state import JOINTS, STATE_SCALE, STATE_SIZE, StateSpace, clip_joints
 from surgbench.trackers.optimisers.cma import CMA
 from surgbench.trackers.optimisers.cma_settings import tutorial_settings
+from surgbench.trackers.registration.arrival import arrive
 from surgbench.trackers.registration.belief import MotionBelief
 from surgbench.trackers.registration.edges import missed_edge
-from surgbench.trackers.registration.fit import ContourFit, Fit, FitConfig
+from surgbench.trackers.registration.fit import ContourFit, Fit, FitConfig, Prior
 from surgbench.trackers.registration.jaws import JawJudge
 from surgbench.trackers.registration.proposals import (
     Move,
     best_of_each,
     jump_cost,
     propose,
-    shift_to_mask,
     sweep_jaws,
 )
 
@@ -44,6 +45,10 @@ VELOCITY = np.array([0.3, 1.0, 0.3, 0.02, 0.02, 0.02, 0.5, 0.5, 0.3])
 # How well the first state, or a hypothesis just found, is known; and how well a drawn one is.
 FOUND = np.array([0.01, 0.05, 0.03, 5e-4, 5e-4, 1e-3, 0.05, 0.05, 0.05])
 DRAWN = np.array([0.1, 1.0, 0.2, 5e-3, 5e-3, 2e-2, 1.0, 1.0, 1.0])
+# What may have changed while nothing was seen, once it is put where the mask is; and how fast it is then put in.
+AWAY = np.array([0.15, 0.7, 0.15, 5e-3, 5e-3, 1.2e-2, 0.5, 0.5, 0.4])
+ARRIVING = np.array([0.3, 1.0, 0.3, 0.1, 0.1, 0.1, 0.5, 0.5, 0.3])
+BACK_SHARE = 0.01  # of the image, beyond which what is seen tells all of the state
 YAW_AND_JAWS = slice(JOINTS.start + 1, JOINTS.stop)
 # Edges are counted as worse than synthetic ones are, so that a frame doesn't outvote the motion; the spread of
 # estimates about the truth is this much of the belief's (on data of the presets `paper` and `agile`).
@@ -52,7 +57,6 @@ STATED = 0.24
 # lens, the principal point) makes wrong, where what contours do tell of them is off by a natural step (on data of the
 # preset `mismatch`).
 MODEL_ERROR = np.array([0.0025, 0.007, 0.008, 5e-4, 5e-4, 2.5e-3, 0.006, 0.008, 0.007])
-FAR_IOU = 0.5  # with less overlap the instrument may be somewhere else altogether
 EXPLAINED_PX = 2
 JAW_PX = 3
 BEST_JAWS = 0.15  # what masks leave unexplained of jaws that are right, of their own contour
@@ -60,6 +64,8 @@ BEST_UNEXPLAINED = 0.02  # what masks leave unexplained of a right state
 LOOK_EVERY = 3  # frames
 LOOKS_BETTER = 0.85  # share of the loss that another place of a jaw has to have
 SAME = 1.0  # jump cost within which two hypotheses are one
+COARSE = {"iterations": 2, "spacing_px": 6}  # of all that a search has drawn and liked
+FINE = {"iterations": 6, "spacing_px": 3}  # of the best of them
 
 
 @dataclass
@@ -117,7 +123,8 @@ class HybridTracker(InstrumentTracker):
         samples: Annotated[int, Field(ge=0, description="states drawn in a search; 0: never search")] = 96
         generations: Annotated[int, Field(ge=0, description="of CMA-ES in a search")] = 3
         population: Annotated[int, Field(ge=4, description="samples of such a generation")] = 70
-        refined: Annotated[int, Field(ge=1, description="best samples of a search that are refined")] = 8
+        refined: Annotated[int, Field(ge=1, description="best samples of a search that are fitted coarsely")] = 8
+        finished: Annotated[int, Field(ge=1, description="best of these that are fitted to the end")] = 2
         hypotheses: Annotated[int, Field(ge=1, description="followed at a time")] = 3
         pause: Annotated[int, Field(ge=0, description="frames without a search after one that found nothing")] = 2
         model_error: Annotated[
@@ -151,6 +158,9 @@ class HybridTracker(InstrumentTracker):
         self._drawn = np.diag((self._scale / np.tile(DRAWN, scene.arms)) ** 2)
         self._pause = 0
         self._begun = False
+        # Where it was last seen for sure; and, from its loss until it is so again, whether nothing was seen just now.
+        self._sure: FloatArray = np.array(state)
+        self._lost = self._nothing = False
         self._found: FloatArray = np.tile(FOUND, scene.arms)
         faster = config.acceleration * (config.fast_acceleration if scene.speed == "fast" else 1.0)
         belief = MotionBelief(
@@ -175,8 +185,13 @@ class HybridTracker(InstrumentTracker):
             self._follow(hypothesis, observation, observation.start if k == 0 else None, seen)
         self._begun = True
         best = min(self._hypotheses, key=lambda h: h.total)
-        slipped = min(best.explained, best.explained_mask) < config.explained or best.missed_jaws > config.jaws
-        if seen and config.samples and slipped:
+        slipped = self._slipped(best)
+        share = observation.mask.mean()
+        if self._lost and share >= OUT_OF_VIEW_SHARE and config.samples and (slipped or self._nothing):
+            best = self._recover(best, observation)
+        elif self._lost:
+            pass
+        elif seen and config.samples and slipped:
             if self._pause > 0:
                 self._pause -= 1
             elif not self._search(best, last, observation):
@@ -187,13 +202,30 @@ class HybridTracker(InstrumentTracker):
                 self._look_at_jaws(best, last, observation)
         self._sort()
         best = self._hypotheses[0]
+        # With next to nothing in the mask the best state is one out of the picture, and that overlaps perfectly.
+        lost = bool(best.iou < config.lost_iou or share < OUT_OF_VIEW_SHARE)
+        self._remember(best, lost, share)
         return Estimate(
             best.state,
             confidence=float(best.iou),
-            # With next to nothing in the mask the best state is one out of the picture, and that overlaps perfectly.
-            lost=bool(best.iou < config.lost_iou or observation.mask.mean() < OUT_OF_VIEW_SHARE),
+            lost=lost,
             standard_deviations=self._stated(best.belief),
         )
+
+    def _slipped(self, best: Hypothesis) -> bool:
+        config = self.config
+        return min(best.explained, best.explained_mask) < config.explained or best.missed_jaws > config.jaws
+
+    def _remember(self, best: Hypothesis, lost: bool, share: float) -> None:
+        """Keep where it was last seen, and whether it is yet to be found again. Of two arms one mask tells neither."""
+        self._nothing = share < OUT_OF_VIEW_SHARE
+        sure = not lost and not self._slipped(best)
+        if self._scene.arms == 1 and (lost or (self._lost and (not sure or share < BACK_SHARE))):
+            self._lost = True
+        else:
+            self._lost = False
+            if sure:
+                self._sure = best.state
 
     @property
     def shape(self) -> FloatArray:
@@ -254,11 +286,50 @@ class HybridTracker(InstrumentTracker):
     def _search(self, best: Hypothesis, last: FloatArray, observation: Observation) -> bool:
         """Draw, score and refine other states; the best of them becomes a hypothesis. Returns whether one did."""
         config, scene = self.config, self._scene
-        centres = [best.state, last]
-        if best.iou < FAR_IOU and scene.arms == 1:
-            silhouette = self._evaluator.mask(best.state)
-            camera = scene.views[0].camera
-            centres = [shift_to_mask(best.state, silhouette, observation.mask, camera), best.state]
+        states = self._draw([best.state, last], observation)
+        found: Hypothesis | None = None
+        for fit in self._refine(states, observation, lambda state: best.belief.prior_at(state, self._drawn)):
+            candidate = Hypothesis(best.belief, fit.state, 0.0)
+            self._take(candidate, fit, observation)
+            candidate.cost, candidate.jump = self._frame_cost(candidate), jump_cost(fit.state, last)
+            if found is None or candidate.total < found.total:
+                found = candidate
+        return found is not None and self._adopt(found, best)
+
+    def _recover(self, best: Hypothesis, observation: Observation) -> Hypothesis:
+        """Look for an instrument that was lost, along its shaft; what is found is followed. Returns the best.
+
+        No jump counts against it. The belief begins anew where the mask has the instrument, known only to what may have
+        changed unseen, and each find is a compromise of that and the frame, so that a few pixels are not believed more
+        than they tell.
+        """
+        scene, config = self._scene, self.config
+        placed = arrive(self._sure, self._evaluator, observation.mask)
+        belief = copy.deepcopy(best.belief)
+        belief.restart(placed, np.tile(AWAY, scene.arms), np.tile(ARRIVING, scene.arms))
+        if observation.joints is not None:
+            belief.read_joints(observation.joints.ravel(), config.reading_noise_rad)
+        prior = belief.prior
+        known = clip_joints(belief.state, scene.joint_limits)
+        states = np.concatenate([known[None], self._draw([known], observation)])
+        if self._nothing:
+            self._hypotheses = []
+        before = 0.0 if self._nothing else best.cost - self._frame_cost(best)
+        for fit in self._refine(states, observation, lambda _: prior):
+            own = copy.deepcopy(belief)
+            own.update(fit.state, fit.shape, fit.information)
+            candidate = Hypothesis(own, fit.state, 0.0)
+            self._take(candidate, fit, observation)
+            off = (own.near(fit.state) - belief.state) / self._scale
+            candidate.jump = 0.5 * float(off @ np.linalg.solve(belief.covariance, off))
+            candidate.cost = before + self._frame_cost(candidate)
+            self._hypotheses.append(candidate)
+        self._sort()
+        return self._hypotheses[0]
+
+    def _draw(self, centres: list[FloatArray], observation: Observation) -> FloatArray:
+        """States around some, scored and evolved; the best of each kind, ``(k, 9 * arms)``."""
+        config, scene = self.config, self._scene
         known = observation.joints is not None
         states, moves = propose(np.stack(centres), config.samples, scene.joint_limits, known, self._rng)
         if not known:
@@ -275,18 +346,20 @@ class HybridTracker(InstrumentTracker):
             ranked = np.argsort(losses, kind="stable")
             self.trace.states.append(states[ranked])
             self.trace.losses.append(losses[ranked])
-        found: Hypothesis | None = None
-        for k in order:
-            fit = self._fit(
-                states[k], observation, best.belief.prior_at(states[k], self._drawn), iterations=8, spacing_px=3
-            )
-            candidate = Hypothesis(best.belief, fit.state, 0.0)
-            self._take(candidate, fit, observation)
-            candidate.cost, candidate.jump = self._frame_cost(candidate), jump_cost(fit.state, last)
-            if found is None or candidate.total < found.total:
-                found = candidate
-        assert found is not None
-        return self._adopt(found, best)
+        return states[order]
+
+    def _refine(
+        self, states: FloatArray, observation: Observation, prior_of: Callable[[FloatArray], Prior]
+    ) -> list[Fit]:
+        """Fit all states coarsely, and those that end best and are not followed yet to the end."""
+        config = self.config
+        ends = np.stack([self._fit(one, observation, prior_of(one), **COARSE).state for one in states])
+        kept: list[int] = []
+        for k in np.argsort(self._objective(ends)[0], kind="stable"):
+            others = [h.state for h in self._hypotheses] + [ends[other] for other in kept]
+            if all(jump_cost(ends[k], other) >= SAME for other in others):
+                kept.append(int(k))
+        return [self._fit(ends[k], observation, prior_of(states[k]), **FINE) for k in kept[: config.finished]]
 
     def _look_at_jaws(self, best: Hypothesis, last: FloatArray, observation: Observation) -> None:
         """Follow another place of one jaw beside the best story, where the mask likes that better.
