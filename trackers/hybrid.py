@@ -26,7 +26,7 @@ from surgbench.silhouette import SilhouetteEvaluator
 from surgbench.state import JOINTS, STATE_SCALE, STATE_SIZE, StateSpace, clip_joints
 from surgbench.trackers.optimisers.cma import CMA
 from surgbench.trackers.optimisers.cma_settings import tutorial_settings
-from surgbench.trackers.registration.arrival import arrive
+from surgbench.trackers.registration.arrival import arrive, at_distances
 from surgbench.trackers.registration.belief import MotionBelief
 from surgbench.trackers.registration.edges import missed_edge
 from surgbench.trackers.registration.fit import ContourFit, Fit, FitConfig, Prior
@@ -46,7 +46,8 @@ VELOCITY = np.array([0.3, 1.0, 0.3, 0.02, 0.02, 0.02, 0.5, 0.5, 0.3])
 FOUND = np.array([0.01, 0.05, 0.03, 5e-4, 5e-4, 1e-3, 0.05, 0.05, 0.05])
 DRAWN = np.array([0.1, 1.0, 0.2, 5e-3, 5e-3, 2e-2, 1.0, 1.0, 1.0])
 # What may have changed while nothing was seen, once it is put where the mask is; and how fast it is then put in.
-AWAY = np.array([0.15, 0.7, 0.15, 5e-3, 5e-3, 1.2e-2, 0.5, 0.5, 0.4])
+AWAY = np.array([0.15, 0.7, 0.15, 1.2e-2, 1.2e-2, 2.5e-2, 0.5, 0.5, 0.4])
+NEARER = (1.0, 0.85, 1.18)  # at which distances it is looked for, of the last one
 ARRIVING = np.array([0.3, 1.0, 0.3, 0.1, 0.1, 0.1, 0.5, 0.5, 0.3])
 BACK_SHARE = 0.01  # of the image, beyond which what is seen tells all of the state
 YAW_AND_JAWS = slice(JOINTS.start + 1, JOINTS.stop)
@@ -304,14 +305,16 @@ class HybridTracker(InstrumentTracker):
         than they tell.
         """
         scene, config = self._scene, self.config
-        placed = arrive(self._sure, self._evaluator, observation.mask)
+        placed = [arrive(one, self._evaluator, observation.mask) for one in at_distances(self._sure, NEARER)]
         belief = copy.deepcopy(best.belief)
-        belief.restart(placed, np.tile(AWAY, scene.arms), np.tile(ARRIVING, scene.arms))
+        belief.restart(placed[0], np.tile(AWAY, scene.arms), np.tile(ARRIVING, scene.arms))
         if observation.joints is not None:
             belief.read_joints(observation.joints.ravel(), config.reading_noise_rad)
         prior = belief.prior
-        known = clip_joints(belief.state, scene.joint_limits)
-        states = np.concatenate([known[None], self._draw([known], observation)])
+        for one in placed:
+            one[JOINTS] = clip_joints(belief.state, scene.joint_limits)[JOINTS]
+        centres = placed if self._nothing or best.iou < config.lost_iou else [*placed, best.state]
+        states = self._draw(centres, observation)
         if self._nothing:
             self._hypotheses = []
         before = 0.0 if self._nothing else best.cost - self._frame_cost(best)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from surgbench.contract import Mask
@@ -12,6 +14,21 @@ from surgbench.trackers.registration.proposals import shift_to_mask
 
 SLIDES_M = np.linspace(-0.03, 0.09, 41)  # along the shaft, inwards
 ROUNDS = 3
+
+
+def at_distances(state: FloatArray, factors: Sequence[float]) -> FloatArray:
+    """The state of one arm nearer and further away, where the wrist stays in the same place of the image.
+
+    Args:
+        state: ``(9,)``.
+        factors: On its distance, k of them.
+
+    Returns:
+        ``(k, 9)``.
+    """
+    states: FloatArray = np.tile(state, (len(factors), 1))
+    states[:, POSITION] *= np.array(factors)[:, None]
+    return states
 
 
 def arrive(state: FloatArray, evaluator: SilhouetteEvaluator, mask: Mask) -> FloatArray:
