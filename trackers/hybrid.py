@@ -12,7 +12,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Annotated, ClassVar
+from typing import Annotated, ClassVar, NamedTuple
 
 import numpy as np
 from pydantic import Field
@@ -50,6 +50,7 @@ AWAY = np.array([0.15, 0.7, 0.15, 1.2e-2, 1.2e-2, 2.5e-2, 0.5, 0.5, 0.4])
 NEARER = (1.0, 0.85, 1.18)  # at which distances it is looked for, of the last one
 ARRIVING = np.array([0.3, 1.0, 0.3, 0.1, 0.1, 0.1, 0.5, 0.5, 0.3])
 BACK_SHARE = 0.01  # of the image, beyond which what is seen tells all of the state
+PATIENCE = 15  # frames after which what does not fit well is taken for all that there is: a recording never fits
 YAW_AND_JAWS = slice(JOINTS.start + 1, JOINTS.stop)
 # Edges are counted as worse than synthetic ones are, so that a frame doesn't outvote the motion; the spread of
 # estimates about the truth is this much of the belief's (on data of the presets `paper` and `agile`).
@@ -65,8 +66,20 @@ BEST_UNEXPLAINED = 0.02  # what masks leave unexplained of a right state
 LOOK_EVERY = 3  # frames
 LOOKS_BETTER = 0.85  # share of the loss that another place of a jaw has to have
 SAME = 1.0  # jump cost within which two hypotheses are one
-COARSE = {"iterations": 2, "spacing_px": 6}  # of all that a search has drawn and liked
-FINE = {"iterations": 6, "spacing_px": 3}  # of the best of them
+COARSE_PX, FINE_PX = 6, 3  # from one contour point to the next
+
+
+class Steps(NamedTuple):
+    """Iterations of a search's fits: of all that it has drawn and liked, and of the best of them."""
+
+    coarse: int = 2
+    fine: int = 6
+
+
+import os
+THOROUGH = Steps(int(os.environ.get("RC", 2)), int(os.environ.get("RF", 6)))
+RG = int(os.environ.get("RG", 0))
+RN = int(os.environ.get("RN", 2))
 
 
 @dataclass
@@ -162,6 +175,7 @@ class HybridTracker(InstrumentTracker):
         # Where it was last seen for sure; and, from its loss until it is so again, whether nothing was seen just now.
         self._sure: FloatArray = np.array(state)
         self._lost = self._nothing = False
+        self._unsure = 0  # frames, lost ones apart
         self._found: FloatArray = np.tile(FOUND, scene.arms)
         faster = config.acceleration * (config.fast_acceleration if scene.speed == "fast" else 1.0)
         belief = MotionBelief(
@@ -220,13 +234,13 @@ class HybridTracker(InstrumentTracker):
     def _remember(self, best: Hypothesis, lost: bool, share: float) -> None:
         """Keep where it was last seen, and whether it is yet to be found again. Of two arms one mask tells neither."""
         self._nothing = share < OUT_OF_VIEW_SHARE
-        sure = not lost and not self._slipped(best)
-        if self._scene.arms == 1 and (lost or (self._lost and (not sure or share < BACK_SHARE))):
-            self._lost = True
-        else:
-            self._lost = False
-            if sure:
-                self._sure = best.state
+        if lost:
+            self._lost = self._scene.arms == 1
+            return
+        self._unsure += 1
+        told = not self._slipped(best) and (not self._lost or share >= BACK_SHARE)
+        if told or self._unsure > PATIENCE:
+            self._lost, self._unsure, self._sure = False, 0, best.state
 
     @property
     def shape(self) -> FloatArray:
@@ -252,7 +266,8 @@ class HybridTracker(InstrumentTracker):
         # A detector takes longer than all the rest of a frame: it isn't waited for while the contour tells the jaws.
         losses = (self._objective if tips else self._objective.mismatch)(candidates)[0]
         begin = candidates[int(np.argmin(losses))]
-        fit = self._fit(begin, observation, belief.prior, tips=tips)
+        # Edges that do not fit because the instrument is elsewhere would make those of the frames to come count little.
+        fit = self._fit(begin, observation, belief.prior, tips=tips, learn=not self._lost)
         belief.update(fit.state, fit.shape, fit.information)
         if not seen:
             belief.stand_still()
@@ -314,11 +329,11 @@ class HybridTracker(InstrumentTracker):
         for one in placed:
             one[JOINTS] = clip_joints(belief.state, scene.joint_limits)[JOINTS]
         centres = placed if self._nothing or best.iou < config.lost_iou else [*placed, best.state]
-        states = self._draw(centres, observation)
+        states = self._draw(centres, observation, RG)
         if self._nothing:
             self._hypotheses = []
         before = 0.0 if self._nothing else best.cost - self._frame_cost(best)
-        for fit in self._refine(states, observation, lambda _: prior):
+        for fit in self._refine(states, observation, lambda _: prior, THOROUGH):
             own = copy.deepcopy(belief)
             own.update(fit.state, fit.shape, fit.information)
             candidate = Hypothesis(own, fit.state, 0.0)
@@ -330,7 +345,7 @@ class HybridTracker(InstrumentTracker):
         self._sort()
         return self._hypotheses[0]
 
-    def _draw(self, centres: list[FloatArray], observation: Observation) -> FloatArray:
+    def _draw(self, centres: list[FloatArray], observation: Observation, more: int = 0) -> FloatArray:
         """States around some, scored and evolved; the best of each kind, ``(k, 9 * arms)``."""
         config, scene = self.config, self._scene
         known = observation.joints is not None
@@ -342,7 +357,7 @@ class HybridTracker(InstrumentTracker):
         losses = self._objective(states)[0]
         order = best_of_each(losses, moves, config.refined)
         if config.generations:
-            evolved, evolved_losses = self._evolve(states[int(np.argmin(losses))])
+            evolved, evolved_losses = self._evolve(states[int(np.argmin(losses))], config.generations + more)
             states, losses = np.concatenate([states, evolved]), np.concatenate([losses, evolved_losses])
             order = np.append(order, len(moves) + np.argmin(evolved_losses))
         if self.trace is not None:
@@ -352,17 +367,20 @@ class HybridTracker(InstrumentTracker):
         return states[order]
 
     def _refine(
-        self, states: FloatArray, observation: Observation, prior_of: Callable[[FloatArray], Prior]
+        self, states: FloatArray, observation: Observation, prior_of: Callable[[FloatArray], Prior], steps: Steps = Steps()
     ) -> list[Fit]:
         """Fit all states coarsely, and those that end best and are not followed yet to the end."""
         config = self.config
-        ends = np.stack([self._fit(one, observation, prior_of(one), **COARSE).state for one in states])
+        ends = np.stack([self._fit(one, observation, prior_of(one), iterations=steps.coarse, spacing_px=COARSE_PX).state for one in states])
         kept: list[int] = []
         for k in np.argsort(self._objective(ends)[0], kind="stable"):
             others = [h.state for h in self._hypotheses] + [ends[other] for other in kept]
             if all(jump_cost(ends[k], other) >= SAME for other in others):
                 kept.append(int(k))
-        return [self._fit(ends[k], observation, prior_of(states[k]), **FINE) for k in kept[: config.finished]]
+        return [
+            self._fit(ends[k], observation, prior_of(states[k]), iterations=steps.fine, spacing_px=FINE_PX)
+            for k in kept[: config.finished]
+        ]
 
     def _look_at_jaws(self, best: Hypothesis, last: FloatArray, observation: Observation) -> None:
         """Follow another place of one jaw beside the best story, where the mask likes that better.
@@ -401,12 +419,12 @@ class HybridTracker(InstrumentTracker):
         self._hypotheses.append(replace(found, belief=belief))
         return True
 
-    def _evolve(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _evolve(self, state: FloatArray, generations: int) -> tuple[FloatArray, FloatArray]:
         """Samples of a few generations of CMA-ES from a state on, and their losses."""
         config = self.config
         search = CMA(self._space.encode(state), 1.0, config.population, settings=self._evolution)
         states, losses = [], []
-        for _ in range(config.generations):
+        for _ in range(generations):
             samples = search.ask(self._rng.standard_normal((config.population, len(state))))
             states.append(self._space.decode(samples))
             losses.append(self._objective(states[-1])[0])
