@@ -12,7 +12,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Annotated, ClassVar, NamedTuple
+from typing import Annotated, ClassVar
 
 import numpy as np
 from pydantic import Field
@@ -66,20 +66,9 @@ BEST_UNEXPLAINED = 0.02  # what masks leave unexplained of a right state
 LOOK_EVERY = 3  # frames
 LOOKS_BETTER = 0.85  # share of the loss that another place of a jaw has to have
 SAME = 1.0  # jump cost within which two hypotheses are one
-COARSE_PX, FINE_PX = 6, 3  # from one contour point to the next
-
-
-class Steps(NamedTuple):
-    """Iterations of a search's fits: of all that it has drawn and liked, and of the best of them."""
-
-    coarse: int = 2
-    fine: int = 6
-
-
-import os
-THOROUGH = Steps(int(os.environ.get("RC", 2)), int(os.environ.get("RF", 6)))
-RG = int(os.environ.get("RG", 0))
-RN = int(os.environ.get("RN", 2))
+# Iterations, and from one contour point to the next: of all that a search has drawn and liked, and of the best of them.
+COARSE_STEPS, COARSE_PX = 2, 6
+FINE_STEPS, FINE_PX = 6, 3
 
 
 @dataclass
@@ -329,11 +318,11 @@ class HybridTracker(InstrumentTracker):
         for one in placed:
             one[JOINTS] = clip_joints(belief.state, scene.joint_limits)[JOINTS]
         centres = placed if self._nothing or best.iou < config.lost_iou else [*placed, best.state]
-        states = self._draw(centres, observation, RG)
+        states = self._draw(centres, observation)
         if self._nothing:
             self._hypotheses = []
         before = 0.0 if self._nothing else best.cost - self._frame_cost(best)
-        for fit in self._refine(states, observation, lambda _: prior, THOROUGH):
+        for fit in self._refine(states, observation, lambda _: prior):
             own = copy.deepcopy(belief)
             own.update(fit.state, fit.shape, fit.information)
             candidate = Hypothesis(own, fit.state, 0.0)
@@ -345,7 +334,7 @@ class HybridTracker(InstrumentTracker):
         self._sort()
         return self._hypotheses[0]
 
-    def _draw(self, centres: list[FloatArray], observation: Observation, more: int = 0) -> FloatArray:
+    def _draw(self, centres: list[FloatArray], observation: Observation) -> FloatArray:
         """States around some, scored and evolved; the best of each kind, ``(k, 9 * arms)``."""
         config, scene = self.config, self._scene
         known = observation.joints is not None
@@ -357,7 +346,7 @@ class HybridTracker(InstrumentTracker):
         losses = self._objective(states)[0]
         order = best_of_each(losses, moves, config.refined)
         if config.generations:
-            evolved, evolved_losses = self._evolve(states[int(np.argmin(losses))], config.generations + more)
+            evolved, evolved_losses = self._evolve(states[int(np.argmin(losses))])
             states, losses = np.concatenate([states, evolved]), np.concatenate([losses, evolved_losses])
             order = np.append(order, len(moves) + np.argmin(evolved_losses))
         if self.trace is not None:
@@ -367,18 +356,18 @@ class HybridTracker(InstrumentTracker):
         return states[order]
 
     def _refine(
-        self, states: FloatArray, observation: Observation, prior_of: Callable[[FloatArray], Prior], steps: Steps = Steps()
+        self, states: FloatArray, observation: Observation, prior_of: Callable[[FloatArray], Prior]
     ) -> list[Fit]:
         """Fit all states coarsely, and those that end best and are not followed yet to the end."""
         config = self.config
-        ends = np.stack([self._fit(one, observation, prior_of(one), iterations=steps.coarse, spacing_px=COARSE_PX).state for one in states])
+        ends = np.stack([self._fit(one, observation, prior_of(one), iterations=COARSE_STEPS, spacing_px=COARSE_PX).state for one in states])
         kept: list[int] = []
         for k in np.argsort(self._objective(ends)[0], kind="stable"):
             others = [h.state for h in self._hypotheses] + [ends[other] for other in kept]
             if all(jump_cost(ends[k], other) >= SAME for other in others):
                 kept.append(int(k))
         return [
-            self._fit(ends[k], observation, prior_of(states[k]), iterations=steps.fine, spacing_px=FINE_PX)
+            self._fit(ends[k], observation, prior_of(states[k]), iterations=FINE_STEPS, spacing_px=FINE_PX)
             for k in kept[: config.finished]
         ]
 
@@ -419,12 +408,12 @@ class HybridTracker(InstrumentTracker):
         self._hypotheses.append(replace(found, belief=belief))
         return True
 
-    def _evolve(self, state: FloatArray, generations: int) -> tuple[FloatArray, FloatArray]:
+    def _evolve(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Samples of a few generations of CMA-ES from a state on, and their losses."""
         config = self.config
         search = CMA(self._space.encode(state), 1.0, config.population, settings=self._evolution)
         states, losses = [], []
-        for _ in range(generations):
+        for _ in range(config.generations):
             samples = search.ask(self._rng.standard_normal((config.population, len(state))))
             states.append(self._space.decode(samples))
             losses.append(self._objective(states[-1])[0])
