@@ -69,6 +69,7 @@ SAME = 1.0  # jump cost within which two hypotheses are one
 # Iterations, and from one contour point to the next: of all that a search has drawn and liked, and of the best of them.
 COARSE_STEPS, COARSE_PX = 2, 6
 FINE_STEPS, FINE_PX = 6, 3
+PIXELS = 5.0  # weight of the logarithm of the loss among what one search has found
 
 
 @dataclass
@@ -124,9 +125,9 @@ class HybridTracker(InstrumentTracker):
         ] = 0.1
         misfit_px: Annotated[NotNegative, Field(description="so do edges that fit no better than so")] = 0.15
         samples: Annotated[int, Field(ge=0, description="states drawn in a search; 0: never search")] = 96
-        generations: Annotated[int, Field(ge=0, description="of CMA-ES in a search")] = 3
+        generations: Annotated[int, Field(ge=0, description="of CMA-ES in a search")] = 1
         population: Annotated[int, Field(ge=4, description="samples of such a generation")] = 70
-        refined: Annotated[int, Field(ge=1, description="best samples of a search that are fitted coarsely")] = 8
+        refined: Annotated[int, Field(ge=1, description="best samples of a search that are fitted coarsely")] = 5
         finished: Annotated[int, Field(ge=1, description="best of these that are fitted to the end")] = 2
         hypotheses: Annotated[int, Field(ge=1, description="followed at a time")] = 3
         pause: Annotated[int, Field(ge=0, description="frames without a search after one that found nothing")] = 2
@@ -292,13 +293,16 @@ class HybridTracker(InstrumentTracker):
         """Draw, score and refine other states; the best of them becomes a hypothesis. Returns whether one did."""
         config, scene = self.config, self._scene
         states = self._draw([best.state, last], observation)
-        found: Hypothesis | None = None
+        found, least = None, np.inf
         for fit in self._refine(states, observation, lambda state: best.belief.prior_at(state, self._drawn)):
             candidate = Hypothesis(best.belief, fit.state, 0.0)
             self._take(candidate, fit, observation)
             candidate.cost, candidate.jump = self._frame_cost(candidate), jump_cost(fit.state, last)
-            if found is None or candidate.total < found.total:
-                found = candidate
+            # Pixels tell apart what edges explain equally well, within their tolerance.
+            pixels = float(self._objective(fit.state[None])[0][0])
+            total = candidate.total + PIXELS * np.log(pixels + 1.0)
+            if total < least:
+                found, least = candidate, total
         return found is not None and self._adopt(found, best)
 
     def _recover(self, best: Hypothesis, observation: Observation) -> Hypothesis:
@@ -358,17 +362,20 @@ class HybridTracker(InstrumentTracker):
     def _refine(
         self, states: FloatArray, observation: Observation, prior_of: Callable[[FloatArray], Prior]
     ) -> list[Fit]:
-        """Fit all states coarsely, and those that end best and are not followed yet to the end."""
-        config = self.config
-        ends = np.stack([self._fit(one, observation, prior_of(one), iterations=COARSE_STEPS, spacing_px=COARSE_PX).state for one in states])
+        """Fit all states coarsely, and to the end the best of those that no story followed is like, or better than."""
+        fits = [self._fit(one, observation, prior_of(one), iterations=COARSE_STEPS, spacing_px=COARSE_PX) for one in states]
+        others = [one.state for one in self._hypotheses]
+        ends = np.stack([fit.state for fit in fits] + others)
+        losses = self._objective(ends)[0]
+        worst = losses[len(fits) :].min(initial=np.inf)
         kept: list[int] = []
-        for k in np.argsort(self._objective(ends)[0], kind="stable"):
-            others = [h.state for h in self._hypotheses] + [ends[other] for other in kept]
-            if all(jump_cost(ends[k], other) >= SAME for other in others):
+        for k in np.argsort(losses[: len(fits)], kind="stable"):
+            if losses[k] <= worst and all(jump_cost(ends[k], other) >= SAME for other in others):
                 kept.append(int(k))
+                others.append(ends[k])
         return [
             self._fit(ends[k], observation, prior_of(states[k]), iterations=FINE_STEPS, spacing_px=FINE_PX)
-            for k in kept[: config.finished]
+            for k in kept[: self.config.finished]
         ]
 
     def _look_at_jaws(self, best: Hypothesis, last: FloatArray, observation: Observation) -> None:
