@@ -12,8 +12,8 @@ from surgbench.silhouette import Reference, SilhouetteEvaluator
 from surgbench.state import ANGLES, POSITION
 from surgbench.trackers.registration.proposals import shift_to_mask
 
-SLIDES_M = np.linspace(-0.03, 0.09, 41)  # along the shaft, inwards
-ROUNDS = 3
+SLIDES_M = np.linspace(-0.03, 0.09, 21)  # along the shaft, inwards
+ROUNDS = 2
 
 
 def at_distances(state: FloatArray, factors: Sequence[float]) -> FloatArray:
