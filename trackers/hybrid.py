@@ -10,6 +10,7 @@ a few generations of CMA-ES, refined, and followed beside it as hypotheses of th
 from __future__ import annotations
 
 import copy
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Annotated, ClassVar
 
@@ -25,16 +26,16 @@ from surgbench.silhouette import SilhouetteEvaluator
 from surgbench.state import JOINTS, STATE_SCALE, STATE_SIZE, StateSpace, clip_joints
 from surgbench.trackers.optimisers.cma import CMA
 from surgbench.trackers.optimisers.cma_settings import tutorial_settings
+from surgbench.trackers.registration.arrival import arrive, at_distances
 from surgbench.trackers.registration.belief import MotionBelief
 from surgbench.trackers.registration.edges import missed_edge
-from surgbench.trackers.registration.fit import ContourFit, Fit, FitConfig
+from surgbench.trackers.registration.fit import ContourFit, Fit, FitConfig, Prior
 from surgbench.trackers.registration.jaws import JawJudge
 from surgbench.trackers.registration.proposals import (
     Move,
     best_of_each,
     jump_cost,
     propose,
-    shift_to_mask,
     sweep_jaws,
 )
 
@@ -44,6 +45,12 @@ VELOCITY = np.array([0.3, 1.0, 0.3, 0.02, 0.02, 0.02, 0.5, 0.5, 0.3])
 # How well the first state, or a hypothesis just found, is known; and how well a drawn one is.
 FOUND = np.array([0.01, 0.05, 0.03, 5e-4, 5e-4, 1e-3, 0.05, 0.05, 0.05])
 DRAWN = np.array([0.1, 1.0, 0.2, 5e-3, 5e-3, 2e-2, 1.0, 1.0, 1.0])
+# What may have changed while nothing was seen, once it is put where the mask is; and how fast it is then put in.
+AWAY = np.array([0.15, 0.7, 0.15, 1.2e-2, 1.2e-2, 2.5e-2, 0.5, 0.5, 0.4])
+NEARER = (1.0, 0.85, 1.18)  # at which distances it is looked for, of the last one
+ARRIVING = np.array([0.3, 1.0, 0.3, 0.1, 0.1, 0.1, 0.5, 0.5, 0.3])
+BACK_SHARE = 0.01  # of the image, beyond which what is seen tells all of the state
+PATIENCE = 15  # frames after which what does not fit well is taken for all that there is: a recording never fits
 YAW_AND_JAWS = slice(JOINTS.start + 1, JOINTS.stop)
 # Edges are counted as worse than synthetic ones are, so that a frame doesn't outvote the motion; the spread of
 # estimates about the truth is this much of the belief's (on data of the presets `paper` and `agile`).
@@ -52,7 +59,6 @@ STATED = 0.24
 # lens, the principal point) makes wrong, where what contours do tell of them is off by a natural step (on data of the
 # preset `mismatch`).
 MODEL_ERROR = np.array([0.0025, 0.007, 0.01, 7e-4, 6e-4, 2.2e-3, 0.006, 0.01, 0.007])
-FAR_IOU = 0.5  # with less overlap the instrument may be somewhere else altogether
 EXPLAINED_PX = 2
 JAW_PX = 3
 BEST_JAWS = 0.15  # what masks leave unexplained of jaws that are right, of their own contour
@@ -60,6 +66,11 @@ BEST_UNEXPLAINED = 0.02  # what masks leave unexplained of a right state
 LOOK_EVERY = 3  # frames
 LOOKS_BETTER = 0.85  # share of the loss that another place of a jaw has to have
 SAME = 1.0  # jump cost within which two hypotheses are one
+# Iterations, and from one contour point to the next: of all that a search has drawn and liked, and of the best of them.
+COARSE_STEPS, COARSE_PX = 2, 6
+FINE_STEPS, FINE_PX = 6, 3
+FAR_WORSE = 1.5  # share of the loss of the best story followed
+PIXELS = 5.0  # weight of the logarithm of the loss among what one search has found
 
 
 @dataclass
@@ -117,7 +128,8 @@ class HybridTracker(InstrumentTracker):
         samples: Annotated[int, Field(ge=0, description="states drawn in a search; 0: never search")] = 96
         generations: Annotated[int, Field(ge=0, description="of CMA-ES in a search")] = 3
         population: Annotated[int, Field(ge=4, description="samples of such a generation")] = 70
-        refined: Annotated[int, Field(ge=1, description="best samples of a search that are refined")] = 8
+        refined: Annotated[int, Field(ge=1, description="best samples of a search that are fitted coarsely")] = 8
+        finished: Annotated[int, Field(ge=1, description="best of these that are fitted to the end")] = 3
         hypotheses: Annotated[int, Field(ge=1, description="followed at a time")] = 3
         pause: Annotated[int, Field(ge=0, description="frames without a search after one that found nothing")] = 2
         model_error: Annotated[
@@ -151,6 +163,10 @@ class HybridTracker(InstrumentTracker):
         self._drawn = np.diag((self._scale / np.tile(DRAWN, scene.arms)) ** 2)
         self._pause = 0
         self._begun = False
+        # Where it was last seen for sure; and, from its loss until it is so again, whether nothing was seen just now.
+        self._sure: FloatArray = np.array(state)
+        self._lost = self._nothing = False
+        self._unsure = 0  # frames, lost ones apart
         self._found: FloatArray = np.tile(FOUND, scene.arms)
         faster = config.acceleration * (config.fast_acceleration if scene.speed == "fast" else 1.0)
         belief = MotionBelief(
@@ -175,8 +191,13 @@ class HybridTracker(InstrumentTracker):
             self._follow(hypothesis, observation, observation.start if k == 0 else None, seen)
         self._begun = True
         best = min(self._hypotheses, key=lambda h: h.total)
-        slipped = min(best.explained, best.explained_mask) < config.explained or best.missed_jaws > config.jaws
-        if seen and config.samples and slipped:
+        slipped = self._slipped(best)
+        share = observation.mask.mean()
+        if self._lost and share >= OUT_OF_VIEW_SHARE and config.samples and (slipped or self._nothing):
+            best = self._recover(best, observation)
+        elif self._lost:
+            pass
+        elif seen and config.samples and slipped:
             if self._pause > 0:
                 self._pause -= 1
             elif not self._search(best, last, observation):
@@ -187,13 +208,30 @@ class HybridTracker(InstrumentTracker):
                 self._look_at_jaws(best, last, observation)
         self._sort()
         best = self._hypotheses[0]
+        # With next to nothing in the mask the best state is one out of the picture, and that overlaps perfectly.
+        lost = bool(best.iou < config.lost_iou or share < OUT_OF_VIEW_SHARE)
+        self._remember(best, lost, share)
         return Estimate(
             best.state,
             confidence=float(best.iou),
-            # With next to nothing in the mask the best state is one out of the picture, and that overlaps perfectly.
-            lost=bool(best.iou < config.lost_iou or observation.mask.mean() < OUT_OF_VIEW_SHARE),
+            lost=lost,
             standard_deviations=self._stated(best.belief),
         )
+
+    def _slipped(self, best: Hypothesis) -> bool:
+        config = self.config
+        return min(best.explained, best.explained_mask) < config.explained or best.missed_jaws > config.jaws
+
+    def _remember(self, best: Hypothesis, lost: bool, share: float) -> None:
+        """Keep where it was last seen, and whether it is yet to be found again. Of two arms one mask tells neither."""
+        self._nothing = share < OUT_OF_VIEW_SHARE
+        if lost:
+            self._lost = self._scene.arms == 1
+            return
+        self._unsure += 1
+        told = not self._slipped(best) and (not self._lost or share >= BACK_SHARE)
+        if told or self._unsure > PATIENCE:
+            self._lost, self._unsure, self._sure = False, 0, best.state
 
     @property
     def shape(self) -> FloatArray:
@@ -219,7 +257,8 @@ class HybridTracker(InstrumentTracker):
         # A detector takes longer than all the rest of a frame: it isn't waited for while the contour tells the jaws.
         losses = (self._objective if tips else self._objective.mismatch)(candidates)[0]
         begin = candidates[int(np.argmin(losses))]
-        fit = self._fit(begin, observation, belief.prior, tips=tips)
+        # Edges that do not fit because the instrument is elsewhere would make those of the frames to come count little.
+        fit = self._fit(begin, observation, belief.prior, tips=tips, learn=not self._lost)
         belief.update(fit.state, fit.shape, fit.information)
         if not seen:
             belief.stand_still()
@@ -254,11 +293,55 @@ class HybridTracker(InstrumentTracker):
     def _search(self, best: Hypothesis, last: FloatArray, observation: Observation) -> bool:
         """Draw, score and refine other states; the best of them becomes a hypothesis. Returns whether one did."""
         config, scene = self.config, self._scene
-        centres = [best.state, last]
-        if best.iou < FAR_IOU and scene.arms == 1:
-            silhouette = self._evaluator.mask(best.state)
-            camera = scene.views[0].camera
-            centres = [shift_to_mask(best.state, silhouette, observation.mask, camera), best.state]
+        states = self._draw([best.state, last], observation)
+        found, least = None, np.inf
+        for fit in self._refine(states, observation, lambda state: best.belief.prior_at(state, self._drawn)):
+            candidate = Hypothesis(best.belief, fit.state, 0.0)
+            self._take(candidate, fit, observation)
+            candidate.cost, candidate.jump = self._frame_cost(candidate), jump_cost(fit.state, last)
+            # Pixels tell apart what edges explain equally well, within their tolerance.
+            pixels = float(self._objective(fit.state[None])[0][0])
+            total = candidate.total + PIXELS * np.log(pixels + 1.0)
+            if total < least:
+                found, least = candidate, total
+        return found is not None and self._adopt(found, best)
+
+    def _recover(self, best: Hypothesis, observation: Observation) -> Hypothesis:
+        """Look for an instrument that was lost, along its shaft; what is found is followed. Returns the best.
+
+        No jump counts against it. The belief begins anew where the mask has the instrument, known only to what may have
+        changed unseen, and each find is a compromise of that and the frame, so that a few pixels are not believed more
+        than they tell.
+        """
+        scene, config = self._scene, self.config
+        placed = [arrive(one, self._evaluator, observation.mask) for one in at_distances(self._sure, NEARER)]
+        belief = copy.deepcopy(best.belief)
+        belief.restart(placed[0], np.tile(AWAY, scene.arms), np.tile(ARRIVING, scene.arms))
+        if observation.joints is not None:
+            belief.read_joints(observation.joints.ravel(), config.reading_noise_rad)
+        prior = belief.prior
+        for one in placed:
+            one[JOINTS] = clip_joints(belief.state, scene.joint_limits)[JOINTS]
+        centres = placed if self._nothing or best.iou < config.lost_iou else [*placed, best.state]
+        states = self._draw(centres, observation)
+        if self._nothing:
+            self._hypotheses = []
+        before = 0.0 if self._nothing else best.cost - self._frame_cost(best)
+        for fit in self._refine(states, observation, lambda _: prior):
+            own = copy.deepcopy(belief)
+            own.update(fit.state, fit.shape, fit.information)
+            candidate = Hypothesis(own, fit.state, 0.0)
+            self._take(candidate, fit, observation)
+            off = (own.near(fit.state) - belief.state) / self._scale
+            candidate.jump = 0.5 * float(off @ np.linalg.solve(belief.covariance, off))
+            candidate.cost = before + self._frame_cost(candidate)
+            self._hypotheses.append(candidate)
+        self._sort()
+        return self._hypotheses[0]
+
+    def _draw(self, centres: list[FloatArray], observation: Observation) -> FloatArray:
+        """States around some, scored and evolved; the best of each kind, ``(k, 9 * arms)``."""
+        config, scene = self.config, self._scene
         known = observation.joints is not None
         states, moves = propose(np.stack(centres), config.samples, scene.joint_limits, known, self._rng)
         if not known:
@@ -275,18 +358,28 @@ class HybridTracker(InstrumentTracker):
             ranked = np.argsort(losses, kind="stable")
             self.trace.states.append(states[ranked])
             self.trace.losses.append(losses[ranked])
-        found: Hypothesis | None = None
-        for k in order:
-            fit = self._fit(
-                states[k], observation, best.belief.prior_at(states[k], self._drawn), iterations=8, spacing_px=3
-            )
-            candidate = Hypothesis(best.belief, fit.state, 0.0)
-            self._take(candidate, fit, observation)
-            candidate.cost, candidate.jump = self._frame_cost(candidate), jump_cost(fit.state, last)
-            if found is None or candidate.total < found.total:
-                found = candidate
-        assert found is not None
-        return self._adopt(found, best)
+        return states[order]
+
+    def _refine(
+        self, states: FloatArray, observation: Observation, prior_of: Callable[[FloatArray], Prior]
+    ) -> list[Fit]:
+        """Fit all states coarsely, and to the end the best of those that are no story followed, nor far worse than it."""
+        fits = [
+            self._fit(one, observation, prior_of(one), iterations=COARSE_STEPS, spacing_px=COARSE_PX) for one in states
+        ]
+        others = [one.state for one in self._hypotheses]
+        ends = np.stack([fit.state for fit in fits] + others)
+        losses = self._objective(ends)[0]
+        worst = FAR_WORSE * losses[len(fits) :].min(initial=np.inf)
+        kept: list[int] = []
+        for k in np.argsort(losses[: len(fits)], kind="stable"):
+            if losses[k] <= worst and all(jump_cost(ends[k], other) >= SAME for other in others):
+                kept.append(int(k))
+                others.append(ends[k])
+        return [
+            self._fit(ends[k], observation, prior_of(states[k]), iterations=FINE_STEPS, spacing_px=FINE_PX)
+            for k in kept[: self.config.finished]
+        ]
 
     def _look_at_jaws(self, best: Hypothesis, last: FloatArray, observation: Observation) -> None:
         """Follow another place of one jaw beside the best story, where the mask likes that better.

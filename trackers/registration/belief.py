@@ -68,12 +68,19 @@ class MotionBelief:
         self._covariance: FloatArray = np.eye(size)
         self._covariance[self._biases, self._biases] = (bias_rad / scale[joints]) ** 2
 
-    def restart(self, state: FloatArray, spread: FloatArray) -> None:
-        """Begin again at rest at ``state``, known to ``spread`` (both ``(n,)``); biases and shape stay."""
+    def restart(self, state: FloatArray, spread: FloatArray, velocity: FloatArray | None = None) -> None:
+        """Begin again at rest at ``state``, known to ``spread``; biases and shape stay.
+
+        Args:
+            state: ``(n,)``.
+            spread: ``(n,)`` standard deviations.
+            velocity: ``(n,)`` those of velocities, per s, where they are not those at the beginning.
+        """
         n = len(self._scale)
         self._mean[: 2 * n] = np.concatenate([state / self._scale, np.zeros(n)])
         self._covariance[: 2 * n, :] = self._covariance[:, : 2 * n] = 0.0
-        variance = np.concatenate([(spread / self._scale) ** 2, self._velocity_variance])
+        velocities = self._velocity_variance if velocity is None else (velocity / self._scale) ** 2
+        variance = np.concatenate([(spread / self._scale) ** 2, velocities])
         self._covariance[: 2 * n, : 2 * n] = np.diag(variance)
 
     @property

@@ -91,6 +91,7 @@ class ContourFit:
         iterations: int | None = None,
         spacing_px: int | None = None,
         tips: bool = True,
+        learn: bool = True,
     ) -> Fit:
         """Minimise robust edge offsets, tip distances and the prior's Mahalanobis distance, from ``state`` on.
 
@@ -101,6 +102,7 @@ class ContourFit:
             iterations: Instead of the configured number.
             spacing_px: Instead of the configured one.
             tips: Fit to the tips too. Without, no view's tips are looked at, and no detector is waited for.
+            learn: Keep, of a frame's first fit, how wrong edges and further views' poses are, for the frames to come.
         """
         config, scale = self._config, self._scale
         n = len(state)
@@ -131,7 +133,7 @@ class ContourFit:
             fit = fit._replace(state=moved, shape=shape, information=information, explained=explained)
             if longest < SETTLED:
                 break
-        if first:
+        if first and learn:
             for own, part in zip(self._views, parts, strict=True):
                 own.learn(information + prior.information - part.information)
         missed_px, length_px = self._views[0].missed()
