@@ -241,7 +241,7 @@ class HybridTracker(InstrumentTracker):
         losses = (self._objective if tips else self._objective.mismatch)(candidates)[0]
         begin = candidates[int(np.argmin(losses))]
         # Edges that do not fit because the instrument is elsewhere would make those of the frames to come count little.
-        fit = self._fit(begin, observation, belief.prior, tips=tips, learn=not self._whereabouts.lost)
+        fit = self._fit(begin, observation, belief.prior, tips=tips, learn=not self._whereabouts.doubted)
         belief.update(fit.state, fit.shape, fit.information)
         if not seen:
             belief.stand_still()

@@ -15,7 +15,7 @@ DISTANCES = (1.0, 0.85, 1.18)  # of where it was: what changes most unseen, and 
 SLIDES_M = np.linspace(-0.03, 0.09, 21)  # along the shaft, inwards
 ROUNDS = 2
 TELLING_SHARE = 0.01  # of the image, beyond which what is seen tells all of the state
-PATIENCE = 15  # frames after which what does not fit well is taken for all that there is: a recording never fits
+PATIENCE = 30  # frames after which what does not fit well is taken for all that there is: a recording never fits
 
 
 class Whereabouts:
@@ -28,12 +28,13 @@ class Whereabouts:
         sure: ``(n,)`` where it was last seen for sure.
         lost: It was lost, and has not been seen for sure since.
         unseen: Next to nothing was in the last mask.
+        doubted: It is lost, or has slipped so lately that edges which do not fit say nothing of the instrument.
     """
 
     def __init__(self, state: FloatArray) -> None:
         self.sure: FloatArray = np.array(state)
-        self.lost = self.unseen = False
-        self._doubtful = 0  # frames since it was seen for sure, without those in which it was lost
+        self.lost = self.unseen = self.doubted = False
+        self._doubtful = 0  # frames since it fitted, without those in which it was lost
 
     def note(self, state: FloatArray, share: float, *, lost: bool, fits: bool) -> None:
         """Take in a frame.
@@ -46,12 +47,14 @@ class Whereabouts:
         """
         self.unseen = share < OUT_OF_VIEW_SHARE
         if lost:
-            self.lost = True
+            self.lost = self.doubted = True
             return
-        self._doubtful += 1
         # What has just come back shows so little that much fits it.
-        if (fits and (not self.lost or share >= TELLING_SHARE)) or self._doubtful > PATIENCE:
-            self.lost, self._doubtful, self.sure = False, 0, np.array(state)
+        fits = fits and (not self.lost or share >= TELLING_SHARE)
+        self._doubtful = 0 if fits else self._doubtful + 1
+        self.doubted = 0 < self._doubtful <= PATIENCE
+        if not self.doubted:
+            self.lost, self.sure = False, np.array(state)
 
 
 def arrivals(state: FloatArray, evaluator: SilhouetteEvaluator, mask: Mask) -> FloatArray:
