@@ -47,7 +47,7 @@ FOUND = np.array([0.01, 0.05, 0.03, 5e-4, 5e-4, 1e-3, 0.05, 0.05, 0.05])
 DRAWN = np.array([0.1, 1.0, 0.2, 5e-3, 5e-3, 2e-2, 1.0, 1.0, 1.0])
 # What may have changed while nothing was seen, once it is put where the mask is; and how fast it is then put in.
 AWAY = np.array([0.15, 0.7, 0.15, 1.2e-2, 1.2e-2, 2.5e-2, 0.5, 0.5, 0.4])
-ARRIVING = np.array([0.3, 1.0, 0.3, 0.1, 0.1, 0.1, 0.5, 0.5, 0.3])
+ARRIVING = np.array([0.3, 1.0, 0.3, 0.3, 0.3, 0.3, 0.5, 0.5, 0.3])
 YAW_AND_JAWS = slice(JOINTS.start + 1, JOINTS.stop)
 # Edges are counted as worse than synthetic ones are, so that a frame doesn't outvote the motion; the spread of
 # estimates about the truth is this much of the belief's (on data of the presets `paper` and `agile`).
@@ -347,7 +347,9 @@ class HybridTracker(InstrumentTracker):
         self, states: FloatArray, observation: Observation, prior_of: Callable[[FloatArray], Prior]
     ) -> list[Fit]:
         """Fit all states coarsely, and to the end the best of those that no story followed is like, or better than."""
-        fits = [self._fit(one, observation, prior_of(one), iterations=COARSE_STEPS, spacing_px=COARSE_PX) for one in states]
+        fits = [
+            self._fit(one, observation, prior_of(one), iterations=COARSE_STEPS, spacing_px=COARSE_PX) for one in states
+        ]
         others = [one.state for one in self._hypotheses]
         ends = np.stack([fit.state for fit in fits] + others)
         losses = self._objective(ends)[0]

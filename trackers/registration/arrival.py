@@ -15,6 +15,7 @@ DISTANCES = (1.0, 0.85, 1.18)  # of where it was: what changes most unseen, and 
 SLIDES_M = np.linspace(-0.03, 0.09, 21)  # along the shaft, inwards
 ROUNDS = 2
 TELLING_SHARE = 0.01  # of the image, beyond which what is seen tells all of the state
+STEADY = 3  # frames in a row that fit, and are telling, for it to have been found again
 PATIENCE = 30  # frames after which what does not fit well is taken for all that there is: a recording never fits
 
 
@@ -34,6 +35,7 @@ class Whereabouts:
     def __init__(self, state: FloatArray) -> None:
         self.sure: FloatArray = np.array(state)
         self.lost = self.unseen = self.doubted = False
+        self._steady = 0  # frames in a row
         self._doubtful = 0  # frames since it fitted, without those in which it was lost
 
     def note(self, state: FloatArray, share: float, *, lost: bool, fits: bool) -> None:
@@ -48,9 +50,11 @@ class Whereabouts:
         self.unseen = share < OUT_OF_VIEW_SHARE
         if lost:
             self.lost = self.doubted = True
+            self._steady = 0
             return
-        # What has just come back shows so little that much fits it.
-        fits = fits and (not self.lost or share >= TELLING_SHARE)
+        # What has just come back shows so little that much fits it, and moves so fast that it is soon lost again.
+        self._steady = self._steady + 1 if fits and share >= TELLING_SHARE else 0
+        fits = fits and (not self.lost or self._steady >= STEADY)
         self._doubtful = 0 if fits else self._doubtful + 1
         self.doubted = 0 < self._doubtful <= PATIENCE
         if not self.doubted:
@@ -58,9 +62,9 @@ class Whereabouts:
 
 
 def arrivals(state: FloatArray, evaluator: SilhouetteEvaluator, mask: Mask) -> FloatArray:
-    """Where one arm may have come back: put in along its shaft until it covers as many pixels as a mask, and moved there.
+    """Where one arm may have come back: put in along its shaft until it covers as many pixels as a mask.
 
-    How far it is in shows by how much of it is seen; if only its centre were moved onto the mask's, an instrument of which
+    How far it is in shows by how much of it is seen. Were only its centre moved onto the mask's, an instrument of which
     nothing shows would come to lie with its wrist there.
 
     Args:
