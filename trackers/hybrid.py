@@ -26,7 +26,7 @@ from surgbench.silhouette import SilhouetteEvaluator
 from surgbench.state import JOINTS, STATE_SCALE, STATE_SIZE, StateSpace, clip_joints
 from surgbench.trackers.optimisers.cma import CMA
 from surgbench.trackers.optimisers.cma_settings import tutorial_settings
-from surgbench.trackers.registration.arrival import arrive, at_distances
+from surgbench.trackers.registration.arrival import Whereabouts, arrivals
 from surgbench.trackers.registration.belief import MotionBelief
 from surgbench.trackers.registration.edges import missed_edge
 from surgbench.trackers.registration.fit import ContourFit, Fit, FitConfig, Prior
@@ -47,10 +47,7 @@ FOUND = np.array([0.01, 0.05, 0.03, 5e-4, 5e-4, 1e-3, 0.05, 0.05, 0.05])
 DRAWN = np.array([0.1, 1.0, 0.2, 5e-3, 5e-3, 2e-2, 1.0, 1.0, 1.0])
 # What may have changed while nothing was seen, once it is put where the mask is; and how fast it is then put in.
 AWAY = np.array([0.15, 0.7, 0.15, 1.2e-2, 1.2e-2, 2.5e-2, 0.5, 0.5, 0.4])
-NEARER = (1.0, 0.85, 1.18)  # at which distances it is looked for, of the last one
-ARRIVING = np.array([0.3, 1.0, 0.3, 0.1, 0.1, 0.1, 0.5, 0.5, 0.3])
-BACK_SHARE = 0.01  # of the image, beyond which what is seen tells all of the state
-PATIENCE = 15  # frames after which what does not fit well is taken for all that there is: a recording never fits
+ARRIVING = np.array([0.3, 1.0, 0.3, 0.3, 0.3, 0.3, 0.5, 0.5, 0.3])
 YAW_AND_JAWS = slice(JOINTS.start + 1, JOINTS.stop)
 # Edges are counted as worse than synthetic ones are, so that a frame doesn't outvote the motion; the spread of
 # estimates about the truth is this much of the belief's (on data of the presets `paper` and `agile`).
@@ -163,10 +160,7 @@ class HybridTracker(InstrumentTracker):
         self._drawn = np.diag((self._scale / np.tile(DRAWN, scene.arms)) ** 2)
         self._pause = 0
         self._begun = False
-        # Where it was last seen for sure; and, from its loss until it is so again, whether nothing was seen just now.
-        self._sure: FloatArray = np.array(state)
-        self._lost = self._nothing = False
-        self._unsure = 0  # frames, lost ones apart
+        self._whereabouts = Whereabouts(state)
         self._found: FloatArray = np.tile(FOUND, scene.arms)
         faster = config.acceleration * (config.fast_acceleration if scene.speed == "fast" else 1.0)
         belief = MotionBelief(
@@ -191,13 +185,12 @@ class HybridTracker(InstrumentTracker):
             self._follow(hypothesis, observation, observation.start if k == 0 else None, seen)
         self._begun = True
         best = min(self._hypotheses, key=lambda h: h.total)
-        slipped = self._slipped(best)
-        share = observation.mask.mean()
-        if self._lost and share >= OUT_OF_VIEW_SHARE and config.samples and (slipped or self._nothing):
-            best = self._recover(best, observation)
-        elif self._lost:
-            pass
-        elif seen and config.samples and slipped:
+        fits = self._fits(best)
+        share = float(observation.mask.mean())
+        if self._whereabouts.lost:
+            if config.samples and share >= OUT_OF_VIEW_SHARE and (not fits or self._whereabouts.unseen):
+                self._recover(best, observation)
+        elif seen and config.samples and not fits:
             if self._pause > 0:
                 self._pause -= 1
             elif not self._search(best, last, observation):
@@ -210,7 +203,8 @@ class HybridTracker(InstrumentTracker):
         best = self._hypotheses[0]
         # With next to nothing in the mask the best state is one out of the picture, and that overlaps perfectly.
         lost = bool(best.iou < config.lost_iou or share < OUT_OF_VIEW_SHARE)
-        self._remember(best, lost, share)
+        if self._scene.arms == 1:  # of two, one mask doesn't tell which is lost
+            self._whereabouts.note(best.state, share, lost=lost, fits=self._fits(best))
         return Estimate(
             best.state,
             confidence=float(best.iou),
@@ -218,20 +212,10 @@ class HybridTracker(InstrumentTracker):
             standard_deviations=self._stated(best.belief),
         )
 
-    def _slipped(self, best: Hypothesis) -> bool:
+    def _fits(self, best: Hypothesis) -> bool:
+        """Whether nothing has slipped that would be worth a search."""
         config = self.config
-        return min(best.explained, best.explained_mask) < config.explained or best.missed_jaws > config.jaws
-
-    def _remember(self, best: Hypothesis, lost: bool, share: float) -> None:
-        """Keep where it was last seen, and whether it is yet to be found again. Of two arms one mask tells neither."""
-        self._nothing = share < OUT_OF_VIEW_SHARE
-        if lost:
-            self._lost = self._scene.arms == 1
-            return
-        self._unsure += 1
-        told = not self._slipped(best) and (not self._lost or share >= BACK_SHARE)
-        if told or self._unsure > PATIENCE:
-            self._lost, self._unsure, self._sure = False, 0, best.state
+        return min(best.explained, best.explained_mask) >= config.explained and best.missed_jaws <= config.jaws
 
     @property
     def shape(self) -> FloatArray:
@@ -258,7 +242,7 @@ class HybridTracker(InstrumentTracker):
         losses = (self._objective if tips else self._objective.mismatch)(candidates)[0]
         begin = candidates[int(np.argmin(losses))]
         # Edges that do not fit because the instrument is elsewhere would make those of the frames to come count little.
-        fit = self._fit(begin, observation, belief.prior, tips=tips, learn=not self._lost)
+        fit = self._fit(begin, observation, belief.prior, tips=tips, learn=not self._whereabouts.doubted)
         belief.update(fit.state, fit.shape, fit.information)
         if not seen:
             belief.stand_still()
@@ -292,9 +276,9 @@ class HybridTracker(InstrumentTracker):
 
     def _search(self, best: Hypothesis, last: FloatArray, observation: Observation) -> bool:
         """Draw, score and refine other states; the best of them becomes a hypothesis. Returns whether one did."""
-        config, scene = self.config, self._scene
-        states = self._draw([best.state, last], observation)
-        found, least = None, np.inf
+        states = self._draw(np.stack([best.state, last]), observation)
+        found: Hypothesis | None = None
+        least = np.inf
         for fit in self._refine(states, observation, lambda state: best.belief.prior_at(state, self._drawn)):
             candidate = Hypothesis(best.belief, fit.state, 0.0)
             self._take(candidate, fit, observation)
@@ -306,27 +290,29 @@ class HybridTracker(InstrumentTracker):
                 found, least = candidate, total
         return found is not None and self._adopt(found, best)
 
-    def _recover(self, best: Hypothesis, observation: Observation) -> Hypothesis:
-        """Look for an instrument that was lost, along its shaft; what is found is followed. Returns the best.
+    def _recover(self, best: Hypothesis, observation: Observation) -> None:
+        """Look for an instrument that was lost, along its shaft; what is found is followed.
 
         No jump counts against it. The belief begins anew where the mask has the instrument, known only to what may have
         changed unseen, and each find is a compromise of that and the frame, so that a few pixels are not believed more
         than they tell.
         """
-        scene, config = self._scene, self.config
-        placed = [arrive(one, self._evaluator, observation.mask) for one in at_distances(self._sure, NEARER)]
+        config, unseen = self.config, self._whereabouts.unseen
+        centres = arrivals(self._whereabouts.sure, self._evaluator, observation.mask)
         belief = copy.deepcopy(best.belief)
-        belief.restart(placed[0], np.tile(AWAY, scene.arms), np.tile(ARRIVING, scene.arms))
+        belief.restart(centres[0], AWAY, ARRIVING)
         if observation.joints is not None:
             belief.read_joints(observation.joints.ravel(), config.reading_noise_rad)
         prior = belief.prior
-        for one in placed:
-            one[JOINTS] = clip_joints(belief.state, scene.joint_limits)[JOINTS]
-        centres = placed if self._nothing or best.iou < config.lost_iou else [*placed, best.state]
-        states = self._draw(centres, observation)
-        if self._nothing:
+        centres[:, JOINTS] = clip_joints(belief.state, self._scene.joint_limits)[JOINTS]
+        before = 0.0
+        if unseen:  # what was followed meanwhile followed nothing
             self._hypotheses = []
-        before = 0.0 if self._nothing else best.cost - self._frame_cost(best)
+        else:
+            before = best.cost - self._frame_cost(best)
+            if best.iou >= config.lost_iou:
+                centres = np.concatenate([centres, best.state[None]])
+        states = self._draw(centres, observation)
         for fit in self._refine(states, observation, lambda _: prior):
             own = copy.deepcopy(belief)
             own.update(fit.state, fit.shape, fit.information)
@@ -336,16 +322,14 @@ class HybridTracker(InstrumentTracker):
             candidate.jump = 0.5 * float(off @ np.linalg.solve(belief.covariance, off))
             candidate.cost = before + self._frame_cost(candidate)
             self._hypotheses.append(candidate)
-        self._sort()
-        return self._hypotheses[0]
 
-    def _draw(self, centres: list[FloatArray], observation: Observation) -> FloatArray:
-        """States around some, scored and evolved; the best of each kind, ``(k, 9 * arms)``."""
+    def _draw(self, centres: FloatArray, observation: Observation) -> FloatArray:
+        """States around ``(m, 9 * arms)`` others, scored and evolved; the best of each kind, ``(k, 9 * arms)``."""
         config, scene = self.config, self._scene
         known = observation.joints is not None
-        states, moves = propose(np.stack(centres), config.samples, scene.joint_limits, known, self._rng)
+        states, moves = propose(centres, config.samples, scene.joint_limits, known, self._rng)
         if not known:
-            swept = sweep_jaws(np.stack(centres), scene.joint_limits)
+            swept = sweep_jaws(centres, scene.joint_limits)
             states = np.concatenate([states, swept])
             moves = np.append(moves, np.full(len(swept), Move.SWEEP))
         losses = self._objective(states)[0]
@@ -363,7 +347,7 @@ class HybridTracker(InstrumentTracker):
     def _refine(
         self, states: FloatArray, observation: Observation, prior_of: Callable[[FloatArray], Prior]
     ) -> list[Fit]:
-        """Fit all states coarsely, and to the end the best of those that are no story followed, nor far worse than it."""
+        """Fit all states coarsely, and to the end the best that no story followed is like, nor far better than."""
         fits = [
             self._fit(one, observation, prior_of(one), iterations=COARSE_STEPS, spacing_px=COARSE_PX) for one in states
         ]

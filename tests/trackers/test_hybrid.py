@@ -14,12 +14,13 @@ from support import observe, resting_state, scene_of
 
 from surgbench.camera import Camera
 from surgbench.contract import Mask, Observation, Scene, View
-from surgbench.geometry import FloatArray
+from surgbench.geometry import FloatArray, look_at_rotation
 from surgbench.keypoints.found import FoundTips
-from surgbench.metrics import pose_errors
-from surgbench.silhouette import SilhouetteEvaluator
-from surgbench.state import BETA, JOINTS, STATE_SCALE, STATE_SIZE
+from surgbench.metrics import OUT_OF_VIEW_SHARE, RECOVERED_M, pose_errors
+from surgbench.silhouette import Reference, SilhouetteEvaluator
+from surgbench.state import ANGLES, BETA, JOINTS, POSITION, STATE_SCALE, STATE_SIZE
 from surgbench.trackers.hybrid import HybridTracker
+from surgbench.trackers.registration.arrival import DISTANCES, PATIENCE, STEADY, Whereabouts, arrivals
 from surgbench.trackers.registration.belief import NO_SHAPE, MotionBelief
 from surgbench.trackers.registration.edges import (
     explained_lengths,
@@ -327,6 +328,84 @@ def test_a_lost_instrument_is_moved_to_the_mask(camera: Camera) -> None:
     assert np.linalg.norm(moved[3:6] - state[3:6]) < 0.6 * 0.03
 
 
+# --- absences
+
+
+def drawn_back(state: FloatArray, way_m: float) -> FloatArray:
+    """The same state so far back along its shaft."""
+    back = state.copy()
+    back[POSITION] -= way_m * look_at_rotation(state[ANGLES])[:, 2]
+    return back
+
+
+def test_an_instrument_arrives_along_its_shaft(camera: Camera) -> None:
+    """From out of the picture it is put in as far as the mask shows, whether that is a little or a lot."""
+    scene, state = scene_of(camera), resting_state()
+    evaluator = SilhouetteEvaluator(scene.instruments, camera)
+    gone = drawn_back(state, 0.09)
+    assert not evaluator.mask(gone).any()
+    for way_m in (0.045, 0.02, 0.0):
+        there = drawn_back(state, way_m)
+        mask = evaluator.mask(there)
+        assert mask.any()
+        came = arrivals(gone, evaluator, mask)
+        assert (np.delete(came, [3, 4, 5], axis=1) == np.delete(gone, [3, 4, 5])).all()
+        assert np.linalg.norm(came[0, POSITION] - there[POSITION]) < 6e-3
+        overlaps = evaluator.score(came, Reference(mask)).iou(Reference(mask))
+        assert overlaps[0] > 0.7
+        order = np.argsort(DISTANCES)
+        assert (np.diff(came[order, 5]) > 0).all()  # nearer ones come out nearer
+
+
+def test_it_is_found_again_only_where_enough_is_seen_that_fits() -> None:
+    state = resting_state()
+    away, little, much = 0.0, 0.004, 0.05
+    kept = Whereabouts(np.zeros(STATE_SIZE))
+    kept.note(state, much, lost=False, fits=True)
+    assert not kept.lost
+    np.testing.assert_array_equal(kept.sure, state)
+    kept.note(state + 1, away, lost=True, fits=True)
+    assert kept.lost
+    assert kept.unseen
+    assert kept.doubted
+    kept.note(state + 2, little, lost=False, fits=True)
+    assert kept.lost
+    assert not kept.unseen
+    np.testing.assert_array_equal(kept.sure, state)
+    for _ in range(STEADY):
+        assert kept.lost
+        kept.note(state + 3, much, lost=False, fits=True)
+    assert not kept.lost
+    assert not kept.doubted
+    np.testing.assert_array_equal(kept.sure, state + 3)
+
+
+def test_what_never_fits_is_taken_for_all_that_there_is_in_the_end() -> None:
+    """Else it would be looked for through all of a recording, whose masks are of another instrument."""
+    kept = Whereabouts(resting_state())
+    kept.note(resting_state(), 0.0, lost=True, fits=False)
+    doubted = []
+    for frame in range(PATIENCE + 10):
+        kept.note(resting_state() + frame, 0.05, lost=False, fits=False)
+        doubted.append(kept.doubted)
+    assert doubted == [True] * PATIENCE + [False] * 10
+    assert not kept.lost
+    assert kept.sure[0] == resting_state()[0] + PATIENCE + 9
+
+
+def test_a_belief_may_begin_anew_with_other_speeds(camera: Camera) -> None:
+    """What arrives fast is followed at once, where one at rest would be held back."""
+    far = resting_state()
+    far[3] += 5e-3
+    reached = []
+    for speed in (None, 100.0 * STATE_SCALE):
+        belief = MotionBelief(STATE_SCALE, 1 / 30, STATE_SCALE, STATE_SCALE, 0.02, 0.001)
+        belief.restart(resting_state(), 0.1 * STATE_SCALE, speed)
+        belief.predict()
+        reached.append(np.sqrt(belief.covariance[3, 3]))
+    assert reached[0] < 0.2 < 3.0 < reached[1]  # natural steps after a frame
+
+
 # --- tracker
 
 
@@ -441,6 +520,46 @@ def test_it_waits_while_nothing_is_seen(camera: Camera) -> None:
     masks[6:9] = [np.zeros_like(masks[0]), np.ones_like(masks[0]), np.zeros_like(masks[0])]
     estimates, _ = follow(scene, states, states[0], masks)
     assert errors_of(scene, estimates[-1], states[-1])["tip_error_m"] < 1e-3
+
+
+def absence(moved: FloatArray) -> FloatArray:
+    """In the picture, drawn back within 25 frames, away for 20, turned and displaced meanwhile, and put in again."""
+    ease = 0.5 - 0.5 * np.cos(np.pi * np.arange(25) / 24)
+    ways = 0.09 * np.concatenate([np.zeros(5), ease, np.ones(15), ease[::-1], np.zeros(5)])
+    shares = np.clip((np.arange(len(ways)) - 29) / 15, 0.0, 1.0)
+    return np.array([drawn_back(resting_state() + share * moved, way) for share, way in zip(shares, ways, strict=True)])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize(
+    "moved",
+    [
+        np.zeros(STATE_SIZE),
+        np.array([0.08, 0.5, -0.05, 0.004, -0.004, 0.015, 0.3, -0.2, 0.1]),
+        np.array([-0.05, -0.5, 0.08, -0.005, 0.005, -0.012, -0.3, 0.3, -0.1]),
+    ],
+)
+def test_an_instrument_that_comes_back_is_found_within_six_frames(camera: Camera, moved: FloatArray, seed: int) -> None:
+    scene, states = scene_of(camera), absence(moved)
+    evaluator = SilhouetteEvaluator(scene.instruments, camera)
+    masks = [evaluator.mask(state) for state in states]
+    away = np.array([mask.mean() < OUT_OF_VIEW_SHARE for mask in masks])
+    assert 20 <= away.sum() <= 35
+    tracker, estimates, lost = HybridTracker(), [states[0]], []
+    tracker.reset(scene, states[0], np.random.default_rng(seed))
+    for index, mask in enumerate(masks):
+        answer = tracker.step(replace(seen(scene, mask, index), start=estimates[-1].copy()))
+        estimates.append(answer.state)
+        lost.append(answer.lost)
+    back = int(np.flatnonzero(away)[-1]) + 1
+    errors = [errors_of(scene, *pair) for pair in zip(estimates[1:], states, strict=True)]
+    assert min(e["tip_error_m"] for e in errors[back : back + 7]) < RECOVERED_M
+    # It says so while nothing is seen, and not for long after.
+    assert np.mean(np.array(lost)[away]) > 0.95
+    assert np.count_nonzero(np.array(lost)[~away]) <= 4
+    assert errors[-1]["rotation_error_rad"] < 0.02
+    assert errors[-1]["tip_error_m"] < 1e-3
 
 
 @pytest.mark.slow

@@ -1,58 +1,90 @@
-"""Where an instrument that was out of the picture may have come back: along its shaft, as far as the mask shows."""
+"""An instrument that went out of the picture: where it was last seen, and where it may have come back."""
 
 from __future__ import annotations
-
-from collections.abc import Sequence
 
 import numpy as np
 
 from surgbench.contract import Mask
 from surgbench.geometry import FloatArray, look_at_rotation
+from surgbench.metrics import OUT_OF_VIEW_SHARE
 from surgbench.silhouette import Reference, SilhouetteEvaluator
 from surgbench.state import ANGLES, POSITION
 from surgbench.trackers.registration.proposals import shift_to_mask
 
+DISTANCES = (1.0, 0.85, 1.18)  # of where it was: what changes most unseen, and shows least in a few pixels
 SLIDES_M = np.linspace(-0.03, 0.09, 21)  # along the shaft, inwards
 ROUNDS = 2
+TELLING_SHARE = 0.01  # of the image, beyond which what is seen tells all of the state
+STEADY = 3  # frames in a row that fit, and are telling, for it to have been found again
+PATIENCE = 30  # frames after which what does not fit well is taken for all that there is: a recording never fits
 
 
-def at_distances(state: FloatArray, factors: Sequence[float]) -> FloatArray:
-    """The state of one arm nearer and further away, where the wrist stays in the same place of the image.
+class Whereabouts:
+    """Keeps where an instrument was last seen for sure, and whether it has yet to be found again.
 
     Args:
-        state: ``(9,)``.
-        factors: On its distance, k of them.
+        state: ``(n,)`` of the first frame.
 
-    Returns:
-        ``(k, 9)``.
+    Attributes:
+        sure: ``(n,)`` where it was last seen for sure.
+        lost: It was lost, and has not been seen for sure since.
+        unseen: Next to nothing was in the last mask.
+        doubted: It is lost, or has slipped so lately that edges which do not fit say nothing of the instrument.
     """
-    states: FloatArray = np.tile(state, (len(factors), 1))
-    states[:, POSITION] *= np.array(factors)[:, None]
-    return states
+
+    def __init__(self, state: FloatArray) -> None:
+        self.sure: FloatArray = np.array(state)
+        self.lost = self.unseen = self.doubted = False
+        self._steady = 0  # frames in a row
+        self._doubtful = 0  # frames since it fitted, without those in which it was lost
+
+    def note(self, state: FloatArray, share: float, *, lost: bool, fits: bool) -> None:
+        """Take in a frame.
+
+        Args:
+            state: ``(n,)`` the estimate.
+            share: Of the image that the mask covers.
+            lost: The estimate is said to be lost.
+            fits: Its edges are those of the mask.
+        """
+        self.unseen = share < OUT_OF_VIEW_SHARE
+        if lost:
+            self.lost = self.doubted = True
+            self._steady = 0
+            return
+        # What has just come back shows so little that much fits it, and moves so fast that it is soon lost again.
+        self._steady = self._steady + 1 if fits and share >= TELLING_SHARE else 0
+        fits = fits and (not self.lost or self._steady >= STEADY)
+        self._doubtful = 0 if fits else self._doubtful + 1
+        self.doubted = 0 < self._doubtful <= PATIENCE
+        if not self.doubted:
+            self.lost, self.sure = False, np.array(state)
 
 
-def arrive(state: FloatArray, evaluator: SilhouetteEvaluator, mask: Mask) -> FloatArray:
-    """The state of one arm put in along its shaft until it covers as many pixels as a mask, and moved onto that.
+def arrivals(state: FloatArray, evaluator: SilhouetteEvaluator, mask: Mask) -> FloatArray:
+    """Where one arm may have come back: put in along its shaft until it covers as many pixels as a mask.
 
-    How far it is in shows by how much of it is seen. Moving its centre onto the mask's alone would put the wrist there.
+    How far it is in shows by how much of it is seen. Were only its centre moved onto the mask's, an instrument of which
+    nothing shows would come to lie with its wrist there.
 
     Args:
-        state: ``(9,)`` where it was last seen, or is thought to be.
+        state: ``(9,)`` where it was last seen.
         evaluator: Of the view.
         mask: ``(H, W)`` observed, not empty.
 
     Returns:
-        ``(9,)``, turned and opened as before.
+        ``(k, 9)``, turned and opened as before: at the distance where it was, nearer, and further away.
     """
-    moved = np.array(state)
     axis = look_at_rotation(state[ANGLES])[:, 2]
     reference = Reference(mask)
-    for _ in range(ROUNDS):
-        slid = np.tile(moved, (len(SLIDES_M), 1))
-        slid[:, POSITION] += SLIDES_M[:, None] * axis
-        score = evaluator.score(slid, reference)
-        # Of equals the shortest way: an instrument that crosses the whole picture covers the same on and on.
-        off = np.abs(score.area - reference.area) + 1e-3 * np.abs(SLIDES_M)
-        moved = slid[int(np.argmin(off))]
-        moved = shift_to_mask(moved, evaluator.mask(moved), mask, evaluator.camera)
-    return moved
+    states: FloatArray = np.tile(state, (len(DISTANCES), 1))
+    for one, factor in zip(states, DISTANCES, strict=True):
+        one[POSITION] *= factor  # the wrist stays in the same place of the image
+        for _ in range(ROUNDS):
+            slid = np.tile(one, (len(SLIDES_M), 1))
+            slid[:, POSITION] += SLIDES_M[:, None] * axis
+            # Of equals the shortest way: an instrument that crosses all of the picture covers the same on and on.
+            off = np.abs(evaluator.score(slid, reference).area - reference.area) + np.abs(SLIDES_M)
+            nearest = slid[int(np.argmin(off))]
+            one[:] = shift_to_mask(nearest, evaluator.mask(nearest), mask, evaluator.camera)
+    return states
