@@ -342,7 +342,8 @@ class HybridTracker(InstrumentTracker):
             ranked = np.argsort(losses, kind="stable")
             self.trace.states.append(states[ranked])
             self.trace.losses.append(losses[ranked])
-        return states[order]
+        chosen: FloatArray = states[order]
+        return chosen
 
     def _refine(
         self, states: FloatArray, observation: Observation, prior_of: Callable[[FloatArray], Prior]

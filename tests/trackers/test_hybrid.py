@@ -194,6 +194,25 @@ def test_a_mask_of_another_instrument_weighs_little(camera: Camera) -> None:
     assert weight["ragged"] < weight["own"] / 20
 
 
+def test_a_frame_that_is_not_learned_from_weighs_on_no_other(camera: Camera) -> None:
+    """A mask that the instrument has left would else make the edges of the right one count little for long."""
+    scene, truth = scene_of(camera), resting_state()
+    evaluator = SilhouetteEvaluator(scene.instruments, camera)
+    elsewhere = truth.copy()
+    elsewhere[3] += 6e-3
+    prior = Prior(truth, 1e6 * np.eye(STATE_SIZE))  # it stays where it is
+    weight = {}
+    for learn in (False, True):
+        fit = ContourFit(scene, evaluator, STATE_SCALE, FitConfig())
+        fit(truth, seen(scene, evaluator.mask(truth)), prior)
+        fit(truth, seen(scene, evaluator.mask(elsewhere), 1), prior, learn=learn)
+        weight[learn] = np.trace(fit(truth, seen(scene, evaluator.mask(truth), 2), prior).information)
+    fresh = ContourFit(scene, evaluator, STATE_SCALE, FitConfig())
+    expected = np.trace(fresh(truth, seen(scene, evaluator.mask(truth)), prior).information)
+    assert weight[False] == pytest.approx(expected, rel=1e-6)
+    assert weight[True] < 0.5 * expected
+
+
 def test_nothing_to_see_leaves_the_prior(camera: Camera) -> None:
     scene, truth = scene_of(camera), resting_state()
     evaluator = SilhouetteEvaluator(scene.instruments, camera)
