@@ -380,7 +380,11 @@ class HybridTracker(InstrumentTracker):
         if losses[k] > LOOKS_BETTER * losses[0]:
             return
         fit = self._fit(
-            states[k], observation, best.belief.prior_at(states[k], self._drawn), iterations=8, spacing_px=3
+            states[k],
+            observation,
+            best.belief.prior_at(states[k], self._drawn),
+            iterations=COARSE_STEPS + FINE_STEPS,
+            spacing_px=FINE_PX,
         )
         found = Hypothesis(best.belief, fit.state, 0.0)
         self._take(found, fit, observation)
