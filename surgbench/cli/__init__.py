@@ -12,6 +12,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
+from surgbench.caches import settle_caches
 from surgbench.cli.bench import bench_app
 from surgbench.cli.check import tracker
 from surgbench.cli.generate import generate
@@ -106,6 +107,7 @@ def main() -> None:
     """Entry point of the console script."""
     arguments = [argument for argument in sys.argv[1:] if argument != "--debug"]
     debug = len(arguments) < len(sys.argv) - 1
+    settle_caches()
     try:
         code = app(arguments, standalone_mode=False)
     except SurgbenchError as error:
