@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from multiprocessing import connection, get_context, parent_process
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -244,19 +244,6 @@ def in_workers(
             stop.value = True
             pool.shutdown(wait=True, cancel_futures=True)
             raise
-
-
-def end_with_parent() -> None:
-    """Let this worker process end with its parent, also when that is killed."""
-    parent = parent_process()
-    if parent is not None:
-        sentinel = parent.sentinel
-
-        def follow() -> None:
-            connection.wait([sentinel])
-            os._exit(1)
-
-        threading.Thread(target=follow, daemon=True).start()
 
 
 def _collect(waiting: set[Future[int]], progress: Callable[[float], None]) -> set[Future[int]]:

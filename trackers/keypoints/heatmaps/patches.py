@@ -16,6 +16,7 @@ from surgbench.errors import SurgbenchError
 from surgbench.geometry import FloatArray
 from surgbench.keypoints.accuracy import REFERENCE_WIDTH, is_asked
 from surgbench.keypoints.labelled import LabelledMasks
+from surgbench.processes.ending import end_worker_with_parent
 from surgbench.processes.interruption import without_ctrl_c
 from surgbench.trackers.keypoints.heatmaps.square import OUTSIDE, find_square
 
@@ -131,7 +132,7 @@ def _in_order(work: Callable[[range], _Cuts], chunks: list[range], jobs: int) ->
     if jobs == 1:
         yield from map(work, chunks)
         return
-    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=end_worker_with_parent) as pool:
         try:
             # Workers start in here, and keep the block.
             with without_ctrl_c():
