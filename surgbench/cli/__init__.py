@@ -26,6 +26,7 @@ from surgbench.cli.train import train_app
 from surgbench.cli.validate import validate
 from surgbench.cli.video import video
 from surgbench.errors import SurgbenchError
+from surgbench.extras import not_installed
 from surgbench.processes.streams import abandon_output, flush_output, print_whatever_comes
 from surgbench.version import __version__
 
@@ -144,6 +145,11 @@ def _run(arguments: list[str], debug: bool) -> int:
             raise
         place = f"{error.filename}: " if error.filename else ""
         code = _complain(f"{place}{(error.strerror or str(error)).lower()}")
+    except ImportError as error:
+        if debug:
+            raise
+        lacking = isinstance(error, ModuleNotFoundError) and error.name is not None
+        code = _complain(not_installed([error.name or ""]) if lacking else f"{error.name} cannot be loaded: {error}")
     except (KeyboardInterrupt, typer.Abort):
         code = INTERRUPTED
     except Exception as error:

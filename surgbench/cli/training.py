@@ -13,6 +13,7 @@ from pydantic import Field
 from surgbench.cli.progress import Bar, progress
 from surgbench.config import Count, Section, locate, parse_model, read_yaml
 from surgbench.errors import SurgbenchError
+from surgbench.extras import not_installed
 from surgbench.files import sha256_file, write_atomic
 from surgbench.generators.tip_masks import TipMasks, TipMaskSettings, in_published_space
 from surgbench.instrument import load_instrument
@@ -26,6 +27,7 @@ from surgbench.trackers.keypoints.heatmaps.training import LOG, Training, Traini
 
 CONFIG = "config.json"
 ACCURACY = "accuracy.json"
+CURVE = "curve.png"
 
 
 class Counts(Section):
@@ -101,7 +103,8 @@ def train(
         with progress("epochs", settings.training.epochs) as bar:
             bar(training.epoch)
             training.run(learnt, held_out, bar, say)
-    draw_curve(out / LOG, out / "curve.png")
+    if not draw_curve(out / LOG, out / CURVE):
+        say(f"{out / CURVE}: left out, for {not_installed(['matplotlib'])}")
     network, _ = load_network(out / WEIGHTS)
     heat, apart = settings.training.least_heat, settings.training.apart_px
     detector = TipDetector(network, settings.network, heat, apart, device)
