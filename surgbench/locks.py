@@ -31,9 +31,10 @@ def sole_writer(out: Path, command: str) -> Iterator[None]:
     with contextlib.ExitStack() as held:
         try:
             made = _make(out)
-            if not out.is_dir():
-                raise DatasetError(f"{out}: is a file; --out needs a folder")
             descriptor = lock(out, os.O_RDONLY | os.O_DIRECTORY)
+        except (FileExistsError, NotADirectoryError):
+            place = next(place for place in (out, *out.parents) if place.exists())
+            raise DatasetError(f"{place}: is a file; --out needs a folder") from None
         except OSError as error:
             raise SurgbenchError(f"{out}: cannot be written ({error.strerror})") from None
         if descriptor is None:

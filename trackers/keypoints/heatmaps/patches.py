@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from functools import partial
 from multiprocessing import get_context
@@ -138,6 +139,10 @@ def _in_order(work: Callable[[range], _Cuts], chunks: list[range], jobs: int) ->
             with without_ctrl_c():
                 results = pool.map(work, chunks)
             yield from results
+        except BrokenProcessPool:
+            raise SurgbenchError(
+                "a worker process was killed (out of memory?); run the same command again, with fewer --jobs"
+            ) from None
         except BaseException:
             pool.shutdown(wait=True, cancel_futures=True)
             raise
