@@ -28,7 +28,7 @@ def test_what_is_missing_is_named_with_what_installs_it(monkeypatch: pytest.Monk
 @pytest.mark.skipif(not PYPROJECT.is_file(), reason="not a checkout")
 def test_the_extras_are_those_of_the_package() -> None:
     section = PYPROJECT.read_text(encoding="utf-8").partition("[project.optional-dependencies]")[2].partition("\n[")[0]
-    declared = {name: body for name, body in re.findall(r"^(\w+) = \[(.*?)^?\]", section, re.MULTILINE | re.DOTALL)}
+    declared = dict(re.findall(r"^(\w+) = \[(.*?)\]$", section, re.MULTILINE | re.DOTALL))
     assert set(EXTRAS) == set(declared) - {"dev"}
     for extra, modules in EXTRAS.items():
         assert all(module in declared[extra] for module in modules)
