@@ -10,9 +10,11 @@ from typing import Any
 
 from numba import njit
 
+from surgbench.caches import announce_cache
 from surgbench.errors import ConfigError
 
 ENGINE = Path(__file__).parent
+announce_cache(ENGINE)  # before anything is compiled: numba refuses to where it cannot keep it
 
 
 @cache

@@ -12,6 +12,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
+from surgbench.caches import settle_caches
 from surgbench.cli.bench import bench_app
 from surgbench.cli.check import tracker
 from surgbench.cli.generate import generate
@@ -25,9 +26,12 @@ from surgbench.cli.train import train_app
 from surgbench.cli.validate import validate
 from surgbench.cli.video import video
 from surgbench.errors import SurgbenchError
+from surgbench.extras import not_installed
+from surgbench.processes.streams import abandon_output, flush_output, print_whatever_comes
 from surgbench.version import __version__
 
 INTERRUPTED = 130  # typer's own exit code for Ctrl-C, and the shell's
+BROKEN_PIPE = 1  # typer's own exit code for output that nobody reads any more
 
 
 class _Commands(TyperGroup):
@@ -106,8 +110,32 @@ def main() -> None:
     """Entry point of the console script."""
     arguments = [argument for argument in sys.argv[1:] if argument != "--debug"]
     debug = len(arguments) < len(sys.argv) - 1
+    print_whatever_comes()
+    settle_caches()
+    try:
+        code = _run(arguments, debug)
+        flush_output()
+    except BrokenPipeError:  # `| head`: what was asked for is done
+        abandon_output()
+        code = BROKEN_PIPE
+    except OSError as error:
+        if debug:
+            raise
+        abandon_output()
+        code = _complain(f"standard output: {(error.strerror or str(error)).lower()}")
+    sys.exit(code)
+
+
+def _run(arguments: list[str], debug: bool) -> int:
+    """Run a command; what goes wrong becomes a line.
+
+    Raises:
+        BrokenPipeError: Nobody reads standard output any more.
+    """
     try:
         code = app(arguments, standalone_mode=False)
+    except BrokenPipeError:
+        raise
     except SurgbenchError as error:
         if debug:
             raise
@@ -117,6 +145,11 @@ def main() -> None:
             raise
         place = f"{error.filename}: " if error.filename else ""
         code = _complain(f"{place}{(error.strerror or str(error)).lower()}")
+    except ImportError as error:
+        if debug:
+            raise
+        lacking = isinstance(error, ModuleNotFoundError) and error.name is not None
+        code = _complain(not_installed([error.name or ""]) if lacking else f"{error.name} cannot be loaded: {error}")
     except (KeyboardInterrupt, typer.Abort):
         code = INTERRUPTED
     except Exception as error:
@@ -132,7 +165,7 @@ def main() -> None:
             code = _complain(message or "not enough arguments; see --help")
     if code == INTERRUPTED:
         print("surgbench: interrupted; the same command again goes on from here", file=sys.stderr)
-    sys.exit(code if isinstance(code, int) else 0)
+    return code if isinstance(code, int) else 0
 
 
 def _complain(message: str) -> int:

@@ -49,6 +49,7 @@ def _command(found: Found) -> Any:
     from surgbench.cli.options import field_options, with_options
     from surgbench.dataset.open import open_dataset
     from surgbench.errors import DatasetError
+    from surgbench.locks import sole_writer
     from surgbench.registry import create
 
     def command(
@@ -57,10 +58,11 @@ def _command(found: Found) -> Any:
         out: Annotated[Path, typer.Option(help="The dataset's folder: new or empty.")],
     ) -> None:
         importer = create(found, options)
-        if out.exists() and (not out.is_dir() or any(out.iterdir())):
-            raise DatasetError(f"{out}: holds something already; --out needs a new or empty folder")
-        with progress("frames", importer.frames(source)) as advance:
-            importer.run(source, out, advance)
+        with sole_writer(out, "import"):
+            if any(out.iterdir()):
+                raise DatasetError(f"{out}: holds something already; --out needs a new or empty folder")
+            with progress("frames", importer.frames(source)) as advance:
+                importer.run(source, out, advance)
         open_dataset(out)  # before it is called one
         print(out)
 

@@ -35,6 +35,7 @@ def video(
     """
     from surgbench.cli.progress import progress
     from surgbench.errors import SurgbenchError
+    from surgbench.locks import sole_writer
     from surgbench.records.reader import read_records
     from surgbench.report.video_options import VideoOptions
     from surgbench.task import find_task
@@ -44,5 +45,7 @@ def video(
     tasks = sorted({record.spec.task for record in records})
     if len(tasks) > 1:
         raise SurgbenchError(f"{directories[0]}: runs of several tasks ({', '.join(tasks)}); give folders of one")
-    for path in find_task(tasks[0]).draw(records, options, dataset, out or directories[0] / "video", progress):
-        typer.echo(str(path))
+    folder = out or directories[0] / "video"
+    with sole_writer(folder, "video"):
+        for path in find_task(tasks[0]).draw(records, options, dataset, folder, progress):
+            print(path)

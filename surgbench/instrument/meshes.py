@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surgbench.errors import ConfigError
+from surgbench.extras import install
 from surgbench.geometry import FloatArray
 from surgbench.instrument.model import LinkMesh
 from surgbench.instrument.shapes import round_vertices
@@ -217,7 +218,7 @@ def _pymeshlab(vertices: FloatArray, faces: Faces, entry: MeshFile, path: Path, 
     except ImportError as error:
         what = "'close_holes'" if mend else "'max_triangles'"
         if isinstance(error, ModuleNotFoundError) and error.name == "pymeshlab":
-            raise ConfigError(f"{path}: {what} needs pymeshlab: pip install 'surgbench[meshes]'") from None
+            raise ConfigError(f"{path}: {what} needs pymeshlab: {install('pymeshlab')}") from None
         raise ConfigError(
             f"{path}: {what} needs pymeshlab, which does not load ({error}): apt-get install libgl1 libopengl0"
         ) from None

@@ -17,10 +17,11 @@ from typing import Any, NamedTuple
 from surgbench.dataset.base import Dataset
 from surgbench.errors import DatasetError, SurgbenchError
 from surgbench.files import PARTIAL_SUFFIX, canonical_json, write_atomic
+from surgbench.locks import LOCK_SUFFIX
 from surgbench.records.format import FORMATS, SKIPPED
 from surgbench.records.reader import check_written
 from surgbench.records.seal import check_seal, sealed
-from surgbench.suite.claim import LOCK_SUFFIX, cannot_write, claim
+from surgbench.suite.claim import cannot_write, claim
 from surgbench.suite.environment import environment
 from surgbench.suite.head import head, skipped
 from surgbench.suite.plug import edited
