@@ -88,7 +88,7 @@ def photograph(camera: Camera, T_world_camera: FloatArray) -> Picture:
         cy=FINER * (camera.cy + MARGIN_PX),
     )
     ideal = draw(wide, inverse_transform(T_world_camera))
-    pixels = np.stack(np.meshgrid(np.arange(camera.width), np.arange(camera.height)), axis=-1)
+    pixels = np.stack(np.meshgrid(np.arange(float(camera.width)), np.arange(float(camera.height))), axis=-1)
     # The middle of each pixel in the finer picture, which has its margin around.
     seen = FINER * (camera.lens.undistort(pixels) + MARGIN_PX)
     # The camera's lens and its compression: what sharpening is for.

@@ -247,6 +247,8 @@ def _intrinsics(value: Any, name: str) -> dict[str, float]:
 
 
 def _is_matrix(value: Any) -> bool:
+    if isinstance(value, str):
+        return False
     try:
         _array(value, 9, "")
     except ValueError:
@@ -263,7 +265,7 @@ def _array(value: Any, count: int | None, name: str) -> FloatArray:
     if isinstance(value, Mapping):
         value = value.get("data")
     try:
-        numbers = np.asarray([] if value is None or value == "" else value, dtype=np.float64).ravel()
+        numbers = np.asarray([] if value is None else value, dtype=np.float64).ravel()
     except (TypeError, ValueError):
         raise ValueError(f"'{name}' must be numbers") from None
     if count is not None and numbers.size != count:

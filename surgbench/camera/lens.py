@@ -11,7 +11,7 @@ Two models, both OpenCV's, and each with as many coefficients as OpenCV takes:
 from __future__ import annotations
 
 import math
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Literal
 
 import cv2
@@ -32,7 +32,7 @@ WIDEST, _WIDEST_RAD = 20.0, math.atan(1000.0)
 _FIXED_POINT = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 60, 1e-10)
 _NEAR_PX = 1e-6
 # Elsewhere Newton's method goes on from the radial part's inverse; what it finds must be as near as this.
-_NEWTON, _HALVINGS, _FOUND_PX = 60, 12, 1e-4
+_NEWTON, _HALVINGS, _GAIN, _FOUND_PX = 60, 8, 0.9, 1e-4
 # OpenCV's function gives derivatives with respect to everything: for so many points at once that memory stays small.
 _AT_ONCE = 1 << 15
 # Outside of every picture, where nothing is seen.
@@ -132,6 +132,7 @@ class Lens:
             straight[known] = guess
         return straight.reshape(seen.shape)
 
+    @cached_property
     def maps(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Where a picture without the lens finds its pixels in the one taken through it, as ``cv2.remap`` takes it.
 
@@ -209,30 +210,31 @@ class Lens:
         return np.asarray(back[:, :2] / back[:, 2:])
 
     def _newton(self, rays: FloatArray, seen: FloatArray) -> FloatArray:
-        """Rays moved until the lens shows them at ``seen``; each step is halved until it comes nearer."""
+        """Rays moved until the lens shows them at ``seen``; each step is halved until it comes nearer, or given up."""
         rays = self._within(rays)
         pixels, slopes = self._project(rays)
         off = np.linalg.norm(pixels - seen, axis=1)
+        going = off > _NEAR_PX
         for _ in range(_NEWTON):
-            at_work = np.flatnonzero(off > _NEAR_PX)
+            at_work = np.flatnonzero(going)
             if not len(at_work):
                 break
             here, target = rays[at_work], seen[at_work]
-            step = np.einsum("nij,nj->ni", np.linalg.pinv(slopes[at_work]), target - pixels[at_work])
+            step = _solved(slopes[at_work], target - pixels[at_work])
             share = np.ones(len(at_work))
             for _ in range(_HALVINGS):
                 there = self._within(here + share[:, None] * step)
                 new_pixels, new_slopes = self._project(there)
                 new_off = np.linalg.norm(new_pixels - target, axis=1)
-                worse = ~(new_off < off[at_work])
+                worse = ~(new_off < _GAIN * off[at_work])
                 if not worse.any():
                     break
                 share[worse] /= 2
-            better = at_work[~worse]
-            if not len(better):
-                break
-            rays[better], off[better] = there[~worse], new_off[~worse]
-            pixels[better], slopes[better] = new_pixels[~worse], new_slopes[~worse]
+            going[at_work[worse]] = False
+            better, gained = at_work[~worse], ~worse
+            rays[better], off[better] = there[gained], new_off[gained]
+            pixels[better], slopes[better] = new_pixels[gained], new_slopes[gained]
+            going &= off > _NEAR_PX
         return rays
 
     def _within(self, rays: FloatArray) -> FloatArray:
@@ -241,7 +243,16 @@ class Lens:
         return np.asarray(rays * np.minimum(1.0, self.widest / np.maximum(tangent, 1e-300))[:, None])
 
 
-@lru_cache(maxsize=64)
+def _solved(slopes: FloatArray, wanted: FloatArray) -> FloatArray:
+    """``(n, 2)`` steps that change pixels by ``wanted``; none where ``(n, 2, 2)`` slopes are singular."""
+    (a, b), (c, d) = np.moveaxis(slopes, 0, -1)
+    u, v = wanted.T
+    size = a * d - b * c
+    steps = np.stack([d * u - b * v, a * v - c * u], axis=-1)
+    return np.divide(steps, size[:, None], out=np.zeros_like(steps), where=size[:, None] != 0)
+
+
+@lru_cache(maxsize=16)
 def lens(
     intrinsics: tuple[float, float, float, float],
     size: tuple[int, int],

@@ -67,6 +67,11 @@ class Radial:
 
     def _limit(self, furthest: float) -> float:
         """Where it first stops to grow, or has a pole."""
-        squares = np.concatenate([self._growth().trim().roots(), self._denominator.trim().roots()])
-        real = squares[np.abs(squares.imag) <= _REAL * np.abs(squares)].real
-        return min([furthest, *(math.sqrt(square) * (1 - _REAL) for square in real if square > 0)])
+        # Of shares of the furthest, so that coefficients too small to matter are seen to be.
+        scale = Polynomial([0.0, furthest**2])
+        ends = [furthest]
+        for polynomial in (self._growth()(scale), self._denominator(scale)):
+            roots = polynomial.trim(_REAL**2 * np.abs(polynomial.coef).max()).roots()
+            real = roots[np.abs(roots.imag) <= _REAL * np.abs(roots)].real
+            ends += [math.sqrt(share) * furthest * (1 - _REAL) for share in real if share > 0]
+        return min(ends)

@@ -26,7 +26,7 @@ class Undistortion:
         """
         self.camera = camera
         lens = camera.lens
-        self._maps = lens.maps() if camera.is_distorted else None
+        self._maps = lens.maps if camera.is_distorted else None
 
     def __call__(self, picture: NDArray[Any], interpolation: int = cv2.INTER_LINEAR) -> NDArray[Any]:
         """Undistort a picture.
