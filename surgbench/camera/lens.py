@@ -249,7 +249,7 @@ def _solved(slopes: FloatArray, wanted: FloatArray) -> FloatArray:
     u, v = wanted.T
     size = a * d - b * c
     steps = np.stack([d * u - b * v, a * v - c * u], axis=-1)
-    return np.divide(steps, size[:, None], out=np.zeros_like(steps), where=size[:, None] != 0)
+    return np.asarray(np.divide(steps, size[:, None], out=np.zeros_like(steps), where=size[:, None] != 0))
 
 
 @lru_cache(maxsize=16)

@@ -115,6 +115,9 @@ def import_masks(
     model = load_instrument(instrument)
     optics = CameraOptions(camera=camera, camera_size=camera_size, distortion_model=distortion_model)
     recording = read_recording(source, optics, single_images=single_images, say=say)
+    lost = _lost_tips(recording)
+    if lost:
+        say(f"tips.csv: {lost} tips lie outside of what an undistorted picture holds, and are left out")
     scratch = out.absolute().with_name(f".{out.absolute().name}.importing")
     try:
         if scratch.exists():
@@ -292,7 +295,7 @@ def _read_picture(path: Path, camera: Camera) -> NDArray[Any]:
         picture = decoded
     if picture.shape[:2] != (camera.height, camera.width):
         raise DatasetError(
-            f"{path}: is {picture.shape[1]}x{picture.shape[0]} pixels; camera.json says {camera.width}x{camera.height}"
+            f"{path}: is {picture.shape[1]}x{picture.shape[0]} pixels; the first mask is {camera.width}x{camera.height}"
         )
     return picture
 
@@ -309,6 +312,14 @@ def _undistort_points(points: FloatArray, camera: Camera) -> FloatArray:
     """Where ``(..., 2)`` pixels lie in the undistorted image; NaN outside of it and where they are NaN already."""
     moved = camera.lens.undistort(points)
     return np.where(camera.contains(moved)[..., None], moved, np.nan)
+
+
+def _lost_tips(recording: Recording) -> int:
+    """How many tips the undistorted pictures do not hold."""
+    if recording.tips is None or not recording.camera.is_distorted:
+        return 0
+    held = np.isfinite(_undistort_points(recording.tips, recording.camera))
+    return int((np.isfinite(recording.tips) & ~held)[..., 0].sum())
 
 
 def _numbered(folder: Path, suffixes: tuple[str, ...]) -> dict[int, Path]:

@@ -139,7 +139,7 @@ def test_whatever_the_numbers(
         height=data.draw(st.integers(480, 1080)),
         fx=focal * data.draw(st.floats(0.9, 1.1)),
         fy=focal,
-        cx=data.draw(st.floats(200, 1000)),
+        cx=data.draw(st.floats(64, 900)),
         cy=data.draw(st.floats(200, 700)),
         distortion=tuple(data.draw(small) for _ in range(count)),
     )
@@ -376,6 +376,16 @@ def test_recordings_are_imported_with_their_labs_camera(
     np.testing.assert_allclose(sequence.keypoints("left")[0], [[200, 150], [500, 350]], atol=0.001)
     _, _, _, centres = cv2.connectedComponentsWithStats(sequence.mask("left", 0).astype(np.uint8))
     np.testing.assert_allclose(np.asarray(centres)[1:], [[200, 150], [500, 350]], atol=1.0)
+
+
+def test_tips_that_no_undistorted_picture_holds_are_counted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    source = recording(tmp_path / "lab", FISHEYE, ros_yaml(FISHEYE), "camera_info.yaml")
+    (source / "tips.csv").write_text("frame,u1,v1,u2,v2\n0,2,2,294,239\n")
+    surgbench("import", "masks", source, "--out", tmp_path / "out")
+    assert "tips.csv: 1 tips lie outside of what an undistorted picture holds" in capsys.readouterr().err
+    tips = open_as(InstrumentDataset, tmp_path / "out").sequences[0].keypoints("left")[0]
+    assert np.isnan(tips[0]).all()
+    np.testing.assert_allclose(tips[1], [294, 239], atol=0.1)
 
 
 def test_a_camera_that_lies_elsewhere(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

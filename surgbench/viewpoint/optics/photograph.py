@@ -160,7 +160,7 @@ def _bend(camera: Camera) -> tuple[NDArray[np.float32], Camera, NDArray[np.bool_
         cx=(camera.cx + 0.5) * OVERSAMPLE - 0.5 - float(low[0]),
         cy=(camera.cy + 0.5) * OVERSAMPLE - 0.5 - float(low[1]),
     )
-    whole = blind.reshape(camera.height, OVERSAMPLE, camera.width, OVERSAMPLE).any(axis=(1, 3))
+    whole = np.asarray(blind.reshape(camera.height, OVERSAMPLE, camera.width, OVERSAMPLE).any(axis=(1, 3)))
     return (fine - low).astype(np.float32), pinhole, whole
 
 
