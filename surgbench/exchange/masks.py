@@ -6,6 +6,7 @@ import csv
 import math
 import re
 import shutil
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from surgbench.camera import Camera, read_camera
-from surgbench.camera.undistortion import COEFFICIENTS, Undistortion, is_distorted
-from surgbench.config import Section
+from surgbench.camera import Camera
+from surgbench.camera.options import CameraOptions
+from surgbench.camera.undistortion import Undistortion
 from surgbench.contract import Plugin
 from surgbench.dataset import tables
 from surgbench.dataset.manifest import MANIFEST_NAME, FileEntry, observations_path
@@ -76,12 +77,16 @@ def import_masks(
     instrument: str = "large_needle_driver",
     arm: Arm = "left",
     single_images: bool = False,
+    camera: Path | None = None,
+    camera_size: str | None = None,
+    distortion_model: str | None = None,
     progress: Callable[[float], None] = lambda frames: None,
+    say: Callable[[str], None] = lambda line: None,
 ) -> int:
     """Turn a folder of masks into a dataset without ground truth.
 
     Args:
-        source: Holds ``masks/*.png``, ``camera.json``, and where they exist ``images/``, ``joints.csv``
+        source: Holds ``masks/*.png``, a camera file, and where they exist ``images/``, ``joints.csv``
             (frame, q1, q2, q3 in radians) and ``tips.csv`` (frame, u1, v1, u2, v2 in pixels).
         out: The dataset's folder: new or empty. It appears when the import is complete.
         name: The dataset's name; the source folder's unless told.
@@ -89,7 +94,11 @@ def import_masks(
         instrument: Built-in name or instrument file.
         arm: Which arm the masks show.
         single_images: The masks are unrelated: each becomes a sequence of its own with one frame.
+        camera: The camera file; the one in ``source`` unless told.
+        camera_size: ``WIDTHxHEIGHT`` it was calibrated at, where it does not say.
+        distortion_model: Of its lens, where it does not say.
         progress: Takes the number of frames just done.
+        say: Takes lines that tell what was read.
 
     Returns:
         Number of frames.
@@ -104,7 +113,11 @@ def import_masks(
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise DatasetError(f"{out}: holds something already; --out needs a new or empty folder")
     model = load_instrument(instrument)
-    recording = read_recording(source, single_images=single_images)
+    optics = CameraOptions(camera=camera, camera_size=camera_size, distortion_model=distortion_model)
+    recording = read_recording(source, optics, single_images=single_images, say=say)
+    lost = _lost_tips(recording)
+    if lost:
+        say(f"tips.csv: {lost} tips lie outside of what an undistorted picture holds, and are left out")
     scratch = out.absolute().with_name(f".{out.absolute().name}.importing")
     try:
         if scratch.exists():
@@ -130,10 +143,10 @@ def import_masks(
                 "fps": fps,
                 "arm": arm,
                 "single_images": single_images,
-                "undistorted": is_distorted(recording.camera),
+                "undistorted": recording.camera.is_distorted,
                 "source_camera": recording.camera.model_dump(mode="json"),
             },
-            cameras={CAMERA_NAME: recording.camera.model_copy(update={"distortion": ()})},
+            cameras={CAMERA_NAME: recording.camera.pinhole},
             instruments={model.name: f"{folder}/instrument.yaml"},
             sequences=tuple(sequences),
             files=files,
@@ -147,8 +160,20 @@ def import_masks(
     return count
 
 
-def read_recording(source: Path, *, single_images: bool = False) -> Recording:
+def read_recording(
+    source: Path,
+    optics: CameraOptions | None = None,
+    *,
+    single_images: bool = False,
+    say: Callable[[str], None] = lambda line: None,
+) -> Recording:
     """Read everything of a recording but its pictures, and check that the pictures are all there.
+
+    Args:
+        source: Its folder.
+        optics: Where its camera is, and what the camera's file does not say.
+        single_images: Frames may be missing.
+        say: Takes lines that tell what was read.
 
     Raises:
         DatasetError: Something is missing or wrong; one line that names it.
@@ -169,11 +194,9 @@ def read_recording(source: Path, *, single_images: bool = False) -> Recording:
                 f"{folder}: the mask of frame {gaps[0]} is missing (frames {numbers[0]} to {numbers[-1]}); "
                 "unrelated images are imported with --single-images"
             )
-    camera = read_camera(source / "camera.json")
-    if len(camera.distortion) not in COEFFICIENTS:
-        raise DatasetError(
-            f"{source / 'camera.json'}: 'distortion' must have 4, 5, 8, 12 or 14 coefficients (OpenCV's order)"
-        )
+    first = masks[numbers[0]]
+    height, width = decode_png(read_bytes(first), str(first)).shape[:2]
+    camera = (optics or CameraOptions()).read(source, (width, height), say)
     images: list[Path] | None = None
     if (source / "images").is_dir():
         found = _numbered(source / "images", IMAGE_SUFFIXES)
@@ -244,7 +267,7 @@ def _write_sequence(
     lens = Undistortion(camera)
     columns: dict[str, FloatArray] = {tables.TIMESTAMP: np.arange(len(part), dtype=np.float64) * entry.dt_s}
     if recording.tips is not None:
-        tips = _undistort_points(recording.tips[part], camera) if is_distorted(camera) else recording.tips[part]
+        tips = _undistort_points(recording.tips[part], camera) if camera.is_distorted else recording.tips[part]
         columns |= dict(zip(arm_columns(arm, KEYPOINT_COLUMNS), tips.reshape(-1, 4).T, strict=True))
     if recording.joints is not None:
         columns |= dict(zip(arm_columns(arm, READING_COLUMNS), recording.joints[part].T, strict=True))
@@ -272,7 +295,7 @@ def _read_picture(path: Path, camera: Camera) -> NDArray[Any]:
         picture = decoded
     if picture.shape[:2] != (camera.height, camera.width):
         raise DatasetError(
-            f"{path}: is {picture.shape[1]}x{picture.shape[0]} pixels; camera.json says {camera.width}x{camera.height}"
+            f"{path}: is {picture.shape[1]}x{picture.shape[0]} pixels; the first mask is {camera.width}x{camera.height}"
         )
     return picture
 
@@ -287,14 +310,16 @@ def _as_rgb(picture: NDArray[Any]) -> NDArray[np.uint8]:
 
 def _undistort_points(points: FloatArray, camera: Camera) -> FloatArray:
     """Where ``(..., 2)`` pixels lie in the undistorted image; NaN outside of it and where they are NaN already."""
-    flat = points.reshape(-1, 1, 2)
-    moved = np.asarray(
-        cv2.undistortPoints(np.nan_to_num(flat), camera.matrix, np.array(camera.distortion), P=camera.matrix),
-        np.float64,
-    )
-    moved[np.isnan(flat)] = np.nan
-    moved[~camera.contains(moved)] = np.nan
-    return moved.reshape(points.shape)
+    moved = camera.lens.undistort(points)
+    return np.where(camera.contains(moved)[..., None], moved, np.nan)
+
+
+def _lost_tips(recording: Recording) -> int:
+    """How many tips the undistorted pictures do not hold."""
+    if recording.tips is None or not recording.camera.is_distorted:
+        return 0
+    held = np.isfinite(_undistort_points(recording.tips, recording.camera))
+    return int((np.isfinite(recording.tips) & ~held)[..., 0].sum())
 
 
 def _numbered(folder: Path, suffixes: tuple[str, ...]) -> dict[int, Path]:
@@ -386,13 +411,17 @@ def _number(text: str) -> float | None:
         return None
 
 
+def _say(line: str) -> None:
+    print(line, file=sys.stderr, flush=True)
+
+
 class MasksImporter(Plugin):
     """A folder of masks with its camera; what it may hold besides, :func:`import_masks` says."""
 
     name: ClassVar[str] = "masks"
-    summary: ClassVar[str] = "masks/*.png and camera.json; optional images/, joints.csv, tips.csv"
+    summary: ClassVar[str] = "masks/*.png and a camera file; optional images/, joints.csv, tips.csv"
 
-    class Config(Section):
+    class Config(CameraOptions):
         """Options."""
 
         name: Annotated[str | None, Field(description="The dataset's name; the source folder's unless told.")] = None
@@ -410,8 +439,8 @@ class MasksImporter(Plugin):
 
     def frames(self, source: Path) -> int:
         """How many masks there are."""
-        return len(read_recording(source, single_images=self.config.single_images).numbers)
+        return len(read_recording(source, self.config, single_images=self.config.single_images).numbers)
 
     def run(self, source: Path, out: Path, progress: Callable[[float], None]) -> None:
         """Make the dataset."""
-        import_masks(source, out, **self.config.model_dump(), progress=progress)
+        import_masks(source, out, **self.config.model_dump(), progress=progress, say=_say)

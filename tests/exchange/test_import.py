@@ -209,7 +209,7 @@ def truncate(name: str) -> Callable[[Path], Any]:
         (remove("masks/000001.png"), "masks: the mask of frame 1 is missing (frames 0 to 2)"),
         (
             lambda s: write_png(s / "masks/000001.png", np.zeros((30, 41), np.uint8)),
-            "000001.png: is 41x30 pixels; camera.json",
+            "000001.png: is 41x30 pixels; the first mask is 40x30",
         ),
         (truncate("masks/000001.png"), "000001.png: truncated or damaged PNG"),
         (put("masks/000001.png", "text"), "000001.png: not a PNG file"),
