@@ -11,6 +11,7 @@ from typing import Any
 from numba import njit
 
 from surgbench.errors import ConfigError
+from surgbench.leftovers import without_leftovers
 
 ENGINE = Path(__file__).parent
 
@@ -24,7 +25,7 @@ def sources(folders: tuple[Path, ...]) -> str:
     """
     files: list[Path] = []
     for folder in folders:
-        own = sorted(folder.glob("*.py"))
+        own = sorted(without_leftovers(folder.glob("*.py")))
         if not own:
             raise ConfigError(f"{folder}: holds no modules that compiled code could depend on")
         files += own
