@@ -33,8 +33,6 @@ from surgbench.tasks.instrument.recorded import BOTH, CAMERA_NAME, RecordingWrit
 from surgbench.version import __version__
 
 SEQUENCE_ID = "000"
-# Of the work, to look at all masks before anything is written.
-LOOKING = 0.5
 
 Arms = Literal["left", "right", "both"]
 
@@ -84,7 +82,7 @@ def import_masks(
     model = load_instrument(instrument)
     arms = arms_of(arm, told)
     recording = read_recording(source, arms=arms, single_images=single_images, stamps=stamps, fps=fps)
-    coding = read_coding(recording.masks, told, lambda masks: progress(LOOKING * masks))
+    coding = read_coding(recording.masks, told)
     scratch = out.absolute().with_name(f".{out.absolute().name}.importing")
     try:
         if scratch.exists():
@@ -95,7 +93,7 @@ def import_masks(
             path.relative_to(scratch).as_posix(): file_entry(path.read_bytes())
             for path in save_instrument(model, scratch / folder)
         }
-        writer = RecordingWriter(recording, coding, arms, scratch, lambda frames: progress((1.0 - LOOKING) * frames))
+        writer = RecordingWriter(recording, coding, arms, scratch, progress)
         sequences = []
         count = len(recording.numbers)
         for part in ([index] for index in range(count)) if single_images else [list(range(count))]:
