@@ -48,15 +48,17 @@ def imported(source: Path, *options: object) -> Sequence:
 def test_instances_become_masks_of_two_arms(source: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for frame in range(3):
         put(source / f"masks/{frame:06d}.png", tool(frame) + 2 * tool(frame, 30))
-    (source / "joints.csv").write_text(
-        "frame,left_q1,left_q2,left_q3,right_q1,right_q2,right_q3\n"
-        + "".join(f"{frame},0.1,0.2,0.3,0.4,0.5,0.6\n" for frame in range(3))
+    two = "frame,left_q1,left_q2,left_q3,right_q1,right_q2,right_q3\n" + "".join(
+        f"{frame},0.1,0.2,0.3,0.4,0.5,0.6\n" for frame in range(3)
     )
     surgbench("import", "masks", source, "--out", source.with_name("data"), expect=2)
     error = capsys.readouterr().err
     assert "--instances 1=left,2=right" in error
     assert error.count("\n") == 1
     assert not source.with_name("data").exists()
+    (source / "joints.csv").write_text(two)
+    surgbench("import", "masks", source, "--out", source.with_name("data"), expect=2)
+    assert "joints.csv: has columns of two arms; say --instances" in capsys.readouterr().err
     sequence = imported(source, "--instances", "1=left,2=right")
     assert "3 masks, values {0, 1, 2}, 1=left,2=right, " in capsys.readouterr().err
     assert sequence.arms == ("left", "right")
@@ -164,7 +166,7 @@ def enter(source: Path, frames: int, first: int) -> Path:
 def test_an_instrument_that_enters_late_is_waited_for(source: Path, tmp_path: Path) -> None:
     data = enter(source, 6, 3)
     arguments = ("--dataset", data, "--tracker", "cmaes", "--initialiser", "random", "--out", tmp_path / "runs")
-    small = ("--set", "random.samples=64", "--set", "cmaes.population=70", "--set", "cmaes.iterations=1")
+    small = ("--set", "random.hypotheses=256", "--set", "cmaes.iterations=1")
     surgbench(*RUN, *arguments, *small)
     ((record),) = records(tmp_path / "runs")
     frames = record["frames"]
