@@ -25,6 +25,7 @@ from surgbench.dataset.writer import SCRATCH_NAME, remove_ledgers
 from surgbench.errors import ConfigError, DatasetError, SurgbenchError
 from surgbench.files import PARTIAL_SUFFIX, write_atomic
 from surgbench.generation import GenerationPlan
+from surgbench.leftovers import without_leftovers
 from surgbench.locks import sole_writer
 from surgbench.processes.interruption import without_ctrl_c
 
@@ -63,7 +64,7 @@ def generate(
     _refuse_other_content(plan, out)
     if _is_complete(out):
         return False
-    fresh = not out.exists() or not any(out.iterdir())
+    fresh = not out.exists() or not any(without_leftovers(out.iterdir()))
     done = {path for path in plan.paths if (out / path).is_file()} if out.is_dir() else set()
     _check_disk(plan, out, len(done) / len(plan.paths), say)
     try:
@@ -105,7 +106,7 @@ def _refuse_other_content(plan: GenerationPlan, out: Path) -> None:
         return
     if not out.is_dir():
         raise DatasetError(f"{out}: is a file; --out needs a new or empty folder")
-    entries = sorted(path.name for path in out.iterdir() if not path.name.endswith(PARTIAL_SUFFIX))
+    entries = sorted(path.name for path in without_leftovers(out.iterdir()) if not path.name.endswith(PARTIAL_SUFFIX))
     if not entries:
         return
     if MANIFEST_NAME in entries:
@@ -127,7 +128,7 @@ def _refuse_other_content(plan: GenerationPlan, out: Path) -> None:
             f"{out}: an unfinished dataset with other settings lies here; choose another --out or delete it"
         )
     expected = {*plan.paths, MARKER_NAME}
-    for path in sorted(out.rglob("*")):
+    for path in sorted(without_leftovers(out.rglob("*"), out)):
         name = path.relative_to(out).as_posix()
         scratch = name.startswith(f"{SCRATCH_NAME}/")
         if path.is_file() and name not in expected and not scratch and not name.endswith(PARTIAL_SUFFIX):

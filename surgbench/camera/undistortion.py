@@ -1,4 +1,4 @@
-"""Pictures as the pinhole camera without its lens would have taken them."""
+"""Pictures and points as the pinhole camera without its lens would have taken them."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from surgbench.camera import Camera
 from surgbench.errors import SurgbenchError
+from surgbench.geometry import FloatArray
 
 
 class Undistortion:
@@ -45,6 +46,23 @@ class Undistortion:
         if self._maps is None:
             return picture
         return np.asarray(cv2.remap(picture, *self._maps, interpolation))
+
+
+def undistort_points(points: FloatArray, camera: Camera) -> FloatArray:
+    """Where pixels of a camera's pictures lie in the undistorted ones.
+
+    Args:
+        points: ``(..., 2)``.
+        camera: Lens included.
+
+    Returns:
+        ``(..., 2)``; NaN outside of the undistorted picture and where they are NaN already. A camera without distortion
+        gives the points themselves.
+    """
+    if not camera.is_distorted:
+        return points
+    moved = camera.lens.undistort(points)
+    return np.where(camera.contains(moved)[..., None], moved, np.nan)
 
 
 def check_size(picture: NDArray[Any], width: int, height: int, what: str) -> None:

@@ -9,6 +9,7 @@ from surgbench.dataset.manifest import MANIFEST_NAME, FileEntry, Manifest
 from surgbench.dataset.masks import read_bytes
 from surgbench.dataset.storage import file_entry
 from surgbench.errors import DatasetError
+from surgbench.leftovers import without_leftovers
 
 
 def difference(path: Path, data: bytes, listed: FileEntry) -> str | None:
@@ -59,7 +60,7 @@ def check_files(
         if problem is not None:
             problems.append(problem)
     known = {*manifest.files, MANIFEST_NAME}
-    for place in sorted(root.rglob("*")):
+    for place in sorted(without_leftovers(root.rglob("*"), root)):
         name = place.relative_to(root).as_posix()
         if not place.is_dir() and name not in known:
             problems.append(f"{place}: extra, not listed in {MANIFEST_NAME}")

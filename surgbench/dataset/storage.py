@@ -7,12 +7,23 @@ import hashlib
 from pathlib import Path
 
 from surgbench.dataset.manifest import FileEntry
-from surgbench.errors import SurgbenchError
+from surgbench.errors import DatasetError, SurgbenchError
+from surgbench.leftovers import without_leftovers
 
 
 def file_entry(data: bytes) -> FileEntry:
     """Size and hash of a file's bytes."""
     return FileEntry(bytes=len(data), sha256=hashlib.sha256(data).hexdigest())
+
+
+def check_new(out: Path) -> None:
+    """See that nothing lies where a dataset is to be made; what the system leaves does not count.
+
+    Raises:
+        DatasetError: Something does.
+    """
+    if out.exists() and (not out.is_dir() or any(without_leftovers(out.iterdir()))):
+        raise DatasetError(f"{out}: holds something already; --out needs a new or empty folder")
 
 
 def storage_error(error: OSError, folder: Path, advice: str) -> SurgbenchError:

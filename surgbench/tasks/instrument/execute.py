@@ -20,7 +20,7 @@ from surgbench.tasks.instrument.dataset import InstrumentDataset, InstrumentUnit
 from surgbench.tasks.instrument.plan import InstrumentSettings
 from surgbench.tasks.instrument.records import ANSWER_COLUMNS, SHARES
 from surgbench.tasks.instrument.units import UnitData
-from surgbench.tasks.instrument.worker import Answer, Setup
+from surgbench.tasks.instrument.worker import Answer, Setup, waiting
 
 WORKER = "surgbench.tasks.instrument.worker"
 
@@ -63,18 +63,18 @@ def child_setup(job: Job, scene: Scene) -> Setup:
     )
 
 
-def true_states(job: Job, data: UnitData) -> FloatArray | None:
-    """What a filter with ``needs_truth`` is given, ``(T, 9 * arms)``; ``None`` for any other."""
+def true_states(job: Job, data: UnitData, first: int = 0) -> FloatArray | None:
+    """What a filter with ``needs_truth`` is given from a frame on, ``(T, 9 * arms)``; ``None`` for any other."""
     if data.truth is None or not own_settings(job).filter.needs_truth:
         return None
-    return data.truth.reshape(data.frames, -1)
+    return data.truth.reshape(data.frames, -1)[first:]
 
 
-def first_truth(job: Job, data: UnitData) -> FloatArray | None:
-    """What an initialiser with ``needs_truth`` is given, ``(9 * arms,)``; ``None`` for any other."""
+def first_truth(job: Job, data: UnitData, first: int = 0) -> FloatArray | None:
+    """What an initialiser with ``needs_truth`` is given of frame ``first``, ``(9 * arms,)``; ``None`` for any other."""
     if data.truth is None or not own_settings(job).initialiser.needs_truth:
         return None
-    return np.asarray(data.truth[0].reshape(-1))
+    return np.asarray(data.truth[first].reshape(-1))
 
 
 def execute(job: Job, dataset: InstrumentDataset, run: Run) -> dict[str, Any]:
@@ -83,18 +83,21 @@ def execute(job: Job, dataset: InstrumentDataset, run: Run) -> dict[str, Any]:
     data = unit_data(job, dataset)
     evaluator = SilhouetteEvaluator(data.instruments, data.camera)
     answers: list[Answer] = []
-    mask_errors: list[tuple[float, float | None]] = []
+    mask_errors: list[tuple[float | None, float | None]] = []
     status, error, trace, initialise_s = "ok", None, None, None
     try:
         with run.child(WORKER, settings.conditions.timeout_s) as child:
             child.send("setup", child_setup(job, data.scene()))
             child.ready()
-            for frame in range(job.frames):
+            first = _first_seen(data, job.frames)
+            run.advance(first)
+            for frame in range(first, job.frames):
                 run.check()
                 mask = data.sequence.mask(data.unit.kind, frame)
                 observation = data.observation(frame, mask)
-                if frame == 0:
-                    initialise_s = _initialise(child, job, data, observation, run)
+                if frame == first:
+                    initialise_s, state = _initialise(child, job, data, observation, run)
+                    answers, mask_errors = [waiting(state)] * first, [(None, None)] * first
                 child.send("step", observation)
                 clean = None if data.truth is None else data.sequence.clean_mask(data.unit.kind, frame)
                 answer: Answer = child.receive()[1]
@@ -113,15 +116,28 @@ def execute(job: Job, dataset: InstrumentDataset, run: Run) -> dict[str, Any]:
     }
 
 
-def _initialise(child: Child, job: Job, data: UnitData, observation: Observation, run: Run) -> float:
-    """Have the first frame's state found; returns the seconds that it took."""
+def _first_seen(data: UnitData, frames: int) -> int:
+    """The frame that tracking begins with.
+
+    Raises:
+        ChildProblemError: There is none.
+    """
+    first = data.first_seen(frames)
+    if first is None:
+        raise ChildProblemError("failed", f"no instrument shows in any of {frames} masks: nothing to start from")
+    return first
+
+
+def _initialise(child: Child, job: Job, data: UnitData, observation: Observation, run: Run) -> tuple[float, FloatArray]:
+    """Have the state of the first frame with an instrument found; returns the seconds that it took, and the state."""
     label = f"{own_settings(job).row_id} {job.unit.id}: finding the instrument"
-    child.send("first", observation, first_truth(job, data), true_states(job, data))
+    first = observation.index
+    child.send("first", observation, first_truth(job, data, first), true_states(job, data, first))
     while (message := child.receive())[0] == "progress":
         run.stage(label, message[1])
     run.stage(label, 1.0)
-    elapsed_s: float = message[2]
-    return elapsed_s
+    state, elapsed_s = message[1:]
+    return float(elapsed_s), state
 
 
 def _mask_errors(
@@ -144,7 +160,7 @@ def _frames(answers: list[Answer]) -> dict[str, list[Any]]:
 
 
 def _errors(
-    data: UnitData, answers: list[Answer], mask_errors: list[tuple[float, float | None]]
+    data: UnitData, answers: list[Answer], mask_errors: list[tuple[float | None, float | None]]
 ) -> dict[str, list[Any] | None]:
     """Errors of all frames; ``None`` where there is no truth to hold them against."""
     errors: dict[str, list[Any] | None] = dict.fromkeys(
