@@ -48,9 +48,7 @@ def choose_seen_alike(estimate: FloatArray, truth: FloatArray, observed: ArrayLi
         level[..., BETA] = 0.0
         # R = A Rz(beta): the beta of the greatest trace of R*^T A Rz(beta), which is the least angle.
         between = np.swapaxes(look_at_rotation(truth[..., ANGLES]), -1, -2) @ look_at_rotation(level)
-        chosen[..., BETA] = np.arctan2(
-            between[..., 0, 1] - between[..., 1, 0], between[..., 0, 0] + between[..., 1, 1]
-        )
+        chosen[..., BETA] = np.arctan2(between[..., 0, 1] - between[..., 1, 0], between[..., 0, 0] + between[..., 1, 1])
         same = (chosen[..., [ALPHA, GAMMA]] == truth[..., [ALPHA, GAMMA]]).all(axis=-1)
         chosen[..., BETA] = np.where(same, truth[..., BETA], chosen[..., BETA])  # without rounding
     return chosen

@@ -234,8 +234,8 @@ def interval_coverages(
     truth = np.asarray(truth, dtype=np.float64)
     errors = choose_twin(estimate, truth) - truth
     errors[..., ANGLES] = wrap_angle(errors[..., ANGLES])
-    inside = np.abs(errors) <= INTERVAL_SIGMAS * np.asarray(standard_deviations)
-    inside = np.where(np.isnan(standard_deviations), np.nan, inside)
+    held = np.abs(errors) <= INTERVAL_SIGMAS * np.asarray(standard_deviations)
+    inside: FloatArray = np.where(np.isnan(standard_deviations), np.nan, held)
     seen = np.broadcast_to(True if observed is None else np.asarray(observed, dtype=bool), inside.shape)
     return {name: _share(inside[..., group], seen[..., group]) for name, group in INTERVAL_COVERAGES.items()}
 
@@ -246,7 +246,8 @@ def _share(inside: FloatArray, seen: np.ndarray) -> FloatArray:
         share: FloatArray = inside.mean(axis=-1)
         return share
     count = seen.sum(axis=-1)
-    return np.where(seen, inside, 0.0).sum(axis=-1) / np.where(count > 0, count, np.nan)
+    shares: FloatArray = np.where(seen, inside, 0.0).sum(axis=-1) / np.where(count > 0, count, np.nan)
+    return shares
 
 
 def lost_precision(lost: ArrayLike, out_of_view: ArrayLike) -> FloatArray:

@@ -53,8 +53,8 @@ def reference_joint_errors(
 
     Args:
         estimate: ``(T, 9)`` states of one arm.
-        readings: ``(T, 3)`` q1, q2, q3 as the robot gives them, rad; NaN where there is none. Beyond the limits, as jaws
-            that press, they count as at them.
+        readings: ``(T, 3)`` q1, q2, q3 as the robot gives them, rad; NaN where there is none. Beyond the limits, as
+            jaws that press, they count as at them.
         limits: The instrument's search limits.
         observed: ``(9,)`` bool, :attr:`surgbench.instrument.Instrument.observed`.
 

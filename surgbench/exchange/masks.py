@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import csv
 import math
 import re
 import shutil
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +18,6 @@ from pydantic import Field
 
 from surgbench.camera import Camera, read_camera
 from surgbench.camera.undistortion import COEFFICIENTS, Undistortion, is_distorted
-from surgbench.config import Section
 from surgbench.contract import Plugin
 from surgbench.dataset import tables
 from surgbench.dataset.manifest import MANIFEST_NAME, FileEntry, observations_path
@@ -26,9 +25,12 @@ from surgbench.dataset.masks import Mask, decode_png, encode_image, encode_mask,
 from surgbench.dataset.storage import file_entry, storage_error
 from surgbench.dataset.writer import write_files
 from surgbench.errors import ConfigError, DatasetError
+from surgbench.exchange.beside import Beside, BesideOptions, read_beside
 from surgbench.geometry import FloatArray
 from surgbench.instrument import load_instrument, save_instrument
 from surgbench.tasks.instrument.format import (
+    ARM_JOINTS_CONVENTION,
+    CONVENTIONS,
     IMAGE_KIND,
     Arm,
     InstrumentManifest,
@@ -36,13 +38,11 @@ from surgbench.tasks.instrument.format import (
     instrument_folder,
     observed_path,
 )
-from surgbench.tasks.instrument.tables import KEYPOINT_COLUMNS, READING_COLUMNS, arm_columns
+from surgbench.tasks.instrument.tables import KEYPOINT_COLUMNS, arm_columns
 from surgbench.version import __version__
 
 CAMERA_NAME = "camera"
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
-JOINT_COLUMNS = ("q1", "q2", "q3")
-TIP_COLUMNS = ("u1", "v1", "u2", "v2")
 SEQUENCE_ID = "000"
 
 
@@ -55,16 +55,12 @@ class Recording:
         masks: Files, one per frame.
         images: The same, or ``None``.
         camera: Intrinsics, distortion included.
-        joints: ``(frames, 3)`` readings, or ``None``.
-        tips: ``(frames, 2, 2)`` tip pixels, NaN where missing, or ``None``.
     """
 
     numbers: list[int]
     masks: list[Path]
     images: list[Path] | None
     camera: Camera
-    joints: FloatArray | None
-    tips: FloatArray | None
 
 
 def import_masks(
@@ -76,20 +72,25 @@ def import_masks(
     instrument: str = "large_needle_driver",
     arm: Arm = "left",
     single_images: bool = False,
+    beside: BesideOptions | None = None,
     progress: Callable[[float], None] = lambda frames: None,
+    say: Callable[[str], None] = lambda line: None,
 ) -> int:
     """Turn a folder of masks into a dataset without ground truth.
 
     Args:
         source: Holds ``masks/*.png``, ``camera.json``, and where they exist ``images/``, ``joints.csv``
-            (frame, q1, q2, q3 in radians) and ``tips.csv`` (frame, u1, v1, u2, v2 in pixels).
+            (:func:`surgbench.exchange.readings.read_joints`) and ``tips.csv``
+            (:func:`surgbench.exchange.tips.read_tips`).
         out: The dataset's folder: new or empty. It appears when the import is complete.
         name: The dataset's name; the source folder's unless told.
         fps: Frames per second.
         instrument: Built-in name or instrument file.
         arm: Which arm the masks show.
         single_images: The masks are unrelated: each becomes a sequence of its own with one frame.
+        beside: What is told of ``joints.csv`` and ``tips.csv``.
         progress: Takes the number of frames just done.
+        say: Takes a line for each thing that had to be decided.
 
     Returns:
         Number of frames.
@@ -105,6 +106,10 @@ def import_masks(
         raise DatasetError(f"{out}: holds something already; --out needs a new or empty folder")
     model = load_instrument(instrument)
     recording = read_recording(source, single_images=single_images)
+    options = beside or BesideOptions()
+    found = read_beside(source, recording.numbers, recording.camera, model, options)
+    for note in found.notes:
+        say(note)
     scratch = out.absolute().with_name(f".{out.absolute().name}.importing")
     try:
         if scratch.exists():
@@ -119,8 +124,9 @@ def import_masks(
         count = len(recording.numbers)
         for part in ([index] for index in range(count)) if single_images else [list(range(count))]:
             entry = _entry(recording, part, SEQUENCE_ID if not single_images else None, 1.0 / fps, arm, model.name)
+            entry = entry.model_copy(update=found.flags)
             sequences.append(entry)
-            files |= _write_sequence(recording, part, entry, scratch, progress)
+            files |= _write_sequence(recording, found, part, entry, scratch, progress)
         manifest = InstrumentManifest(
             name=label,
             created_by=f"surgbench {__version__}",
@@ -130,9 +136,11 @@ def import_masks(
                 "fps": fps,
                 "arm": arm,
                 "single_images": single_images,
+                **options.model_dump(exclude_defaults=True),
                 "undistorted": is_distorted(recording.camera),
                 "source_camera": recording.camera.model_dump(mode="json"),
             },
+            conventions=CONVENTIONS | (ARM_JOINTS_CONVENTION if options.joints_arm else {}),
             cameras={CAMERA_NAME: recording.camera.model_copy(update={"distortion": ()})},
             instruments={model.name: f"{folder}/instrument.yaml"},
             sequences=tuple(sequences),
@@ -185,18 +193,7 @@ def read_recording(source: Path, *, single_images: bool = False) -> Recording:
         if lacking:
             raise DatasetError(f"{source / 'images'}: the image of frame {lacking[0]} is missing; every mask needs one")
         images = [found[number] for number in numbers]
-    joints = _read_csv(source / "joints.csv", JOINT_COLUMNS, numbers, complete=True)
-    tips = _read_csv(source / "tips.csv", TIP_COLUMNS, numbers, complete=False)
-    if tips is not None:
-        points = tips.reshape(-1, 2, 2)
-        points[np.isnan(points).any(axis=2)] = np.nan
-        outside = (~camera.contains(points) & ~np.isnan(points[..., 0])).any(axis=1)
-        if outside.any():
-            frame = numbers[int(np.argmax(outside))]
-            size = f"{camera.width}x{camera.height}"
-            raise DatasetError(f"{source / 'tips.csv'}: frame {frame}: a tip lies outside the image of {size} pixels")
-        tips = points
-    return Recording(numbers, [masks[number] for number in numbers], images, camera, joints, tips)
+    return Recording(numbers, [masks[number] for number in numbers], images, camera)
 
 
 def binarise(picture: NDArray[Any]) -> Mask:
@@ -229,25 +226,29 @@ def _entry(
         instruments={arm: instrument},
         kinds=(arm,),
         images=recording.images is not None,
-        keypoints=recording.tips is not None,
-        readings=recording.joints is not None,
         source_frames=stems,
     )
 
 
 def _write_sequence(
-    recording: Recording, part: list[int], entry: SequenceEntry, root: Path, progress: Callable[[float], None]
+    recording: Recording,
+    beside: Beside,
+    part: list[int],
+    entry: SequenceEntry,
+    root: Path,
+    progress: Callable[[float], None],
 ) -> dict[str, FileEntry]:
     """Write a sequence's pictures and table; returns what the manifest says of them."""
     (arm,) = entry.arms
     camera = recording.camera
     lens = Undistortion(camera)
     columns: dict[str, FloatArray] = {tables.TIMESTAMP: np.arange(len(part), dtype=np.float64) * entry.dt_s}
-    if recording.tips is not None:
-        tips = _undistort_points(recording.tips[part], camera) if is_distorted(camera) else recording.tips[part]
+    if beside.tips is not None and beside.tips.points is not None:
+        tips = beside.tips.points[part]
+        tips = _undistort_points(tips, camera) if is_distorted(camera) else tips
         columns |= dict(zip(arm_columns(arm, KEYPOINT_COLUMNS), tips.reshape(-1, 4).T, strict=True))
-    if recording.joints is not None:
-        columns |= dict(zip(arm_columns(arm, READING_COLUMNS), recording.joints[part].T, strict=True))
+    if beside.readings is not None:
+        columns |= beside.readings.columns(arm, part)
     files = write_files(root, {observations_path(entry.id): tables.encode_table(columns)})
     for frame, index in enumerate(part):
         mask = binarise(_read_picture(recording.masks[index], camera))
@@ -322,68 +323,8 @@ def _renumbered(path: Path, number: int) -> Path:
     return path.with_name(re.sub(r"\d+$", lambda old: f"{number:0{len(old[0])}d}", path.stem) + path.suffix)
 
 
-def _read_csv(path: Path, columns: tuple[str, ...], numbers: list[int], *, complete: bool) -> FloatArray | None:
-    """Read a table of numbers per frame; ``None`` if there is no such file.
-
-    Args:
-        path: The file; its header must be ``frame`` and the columns.
-        columns: Besides ``frame``.
-        numbers: The recording's frames.
-        complete: Every frame must have a row of numbers; otherwise missing rows and empty cells become NaN.
-
-    Returns:
-        ``(len(numbers), len(columns))``.
-
-    Raises:
-        DatasetError: The header is wrong, a value is no number, or a frame is missing, unknown or there twice.
-    """
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except FileNotFoundError:
-        return None
-    except (OSError, UnicodeDecodeError) as error:
-        raise DatasetError(f"{path}: cannot be read as text ({error})") from None
-    rows = list(csv.reader(text.splitlines()))
-    header = ["frame", *columns]
-    if not rows or [cell.strip() for cell in rows[0]] != header:
-        raise DatasetError(f"{path}: line 1 must be '{','.join(header)}'")
-    places = {number: index for index, number in enumerate(numbers)}
-    values = np.full((len(numbers), len(columns)), np.nan)
-    seen: set[int] = set()
-    for line, cells in enumerate(rows[1:], start=2):
-        if not any(cell.strip() for cell in cells):
-            continue
-        if len(cells) != len(header):
-            raise DatasetError(
-                f"{path}: line {line} has {len(cells)} values; expected {len(header)} ({','.join(header)})"
-            )
-        try:
-            number = int(cells[0])
-        except ValueError:
-            raise DatasetError(f"{path}: line {line}: 'frame' must be a whole number, not '{cells[0]}'") from None
-        if number not in places:
-            raise DatasetError(f"{path}: line {line}: there is no mask of frame {number}")
-        if number in seen:
-            raise DatasetError(f"{path}: line {line}: frame {number} is there twice")
-        seen.add(number)
-        for column, cell in enumerate(cells[1:]):
-            if not cell.strip() and not complete:
-                continue
-            value = _number(cell)
-            if value is None or math.isinf(value) or (math.isnan(value) and complete):
-                raise DatasetError(f"{path}: line {line}: '{columns[column]}' must be a finite number, not '{cell}'")
-            values[places[number], column] = value
-    if complete and len(seen) < len(numbers):
-        hole = next(number for number in numbers if number not in seen)
-        raise DatasetError(f"{path}: frame {hole} is missing; every mask needs a row")
-    return values
-
-
-def _number(text: str) -> float | None:
-    try:
-        return float(text)
-    except ValueError:
-        return None
+def _say(line: str) -> None:
+    print(line, file=sys.stderr)
 
 
 class MasksImporter(Plugin):
@@ -392,7 +333,7 @@ class MasksImporter(Plugin):
     name: ClassVar[str] = "masks"
     summary: ClassVar[str] = "masks/*.png and camera.json; optional images/, joints.csv, tips.csv"
 
-    class Config(Section):
+    class Config(BesideOptions):
         """Options."""
 
         name: Annotated[str | None, Field(description="The dataset's name; the source folder's unless told.")] = None
@@ -414,4 +355,6 @@ class MasksImporter(Plugin):
 
     def run(self, source: Path, out: Path, progress: Callable[[float], None]) -> None:
         """Make the dataset."""
-        import_masks(source, out, **self.config.model_dump(), progress=progress)
+        told = self.config.model_dump()
+        beside = BesideOptions.model_validate({name: told.pop(name) for name in BesideOptions.model_fields})
+        import_masks(source, out, **told, beside=beside, progress=progress, say=_say)

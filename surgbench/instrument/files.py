@@ -28,8 +28,8 @@ def load_instrument(name_or_path: str | Path) -> Instrument:
 
     Raises:
         NotFoundError: No built-in instrument has this name.
-        ConfigError: The file or one of its meshes is missing or wrong, or cannot be an instrument in metres; the message
-            names file and key.
+        ConfigError: The file or one of its meshes is missing or wrong, or cannot be an instrument in metres; the
+            message names file and key.
 
     Example:
         >>> from surgbench.instrument import load_instrument

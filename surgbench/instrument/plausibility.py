@@ -101,7 +101,7 @@ def distance_to_body(mesh: LinkMesh, point: FloatArray) -> float:
     from trimesh.proximity import closest_point_naive
 
     body = trimesh.Trimesh(mesh.vertices_m, mesh.faces, process=False)
-    distance = float(closest_point_naive(body, point[None])[1][0])
+    distance = float(closest_point_naive(body, point[None])[1][0])  # type: ignore[no-untyped-call]
     return 0.0 if distance == 0.0 or winding_number(mesh, point) > 0.5 else distance
 
 
