@@ -52,7 +52,7 @@ def reference_errors(data: UnitData, states: FloatArray, absent: NDArray[np.bool
         ]
         errors[REFERENCE_TIPS] = np.where(absent, np.nan, np.stack(tips, axis=1))
     readings = [data.sequence.readings(arm) for arm in data.unit.arms]
-    if frames and all(one is not None for one in readings):
+    if all(one is not None for one in readings):
         joints = [
             reference_joint_errors(states[:, place], one[:frames], instrument.search_limits, instrument.observed)
             for place, ((_, instrument), one) in enumerate(zip(arms, readings, strict=True))
