@@ -43,6 +43,15 @@ def read(path: Path, driver: Instrument, **told: object) -> Readings:
     return found
 
 
+def assert_close(found: FloatArray | None, expected: object, atol: float = 1e-15) -> None:
+    assert found is not None
+    np.testing.assert_allclose(found, np.asarray(expected), atol=atol)
+
+
+def assert_same(found: FloatArray | None, expected: FloatArray) -> None:
+    assert_close(found, expected, atol=0.0)
+
+
 def six_and_jaw(whole: bool = True) -> FloatArray:
     """As the dVRK reports them: the arm's six joints, and the jaw."""
     return np.column_stack([ARM, TRUE[:, :2], TRUE[:, 2] * (2 if whole else 1)])
@@ -50,7 +59,7 @@ def six_and_jaw(whole: bool = True) -> FloatArray:
 
 def test_our_own_columns_are_radians_and_half_the_opening(tmp_path: Path, driver: Instrument) -> None:
     found = read(table(tmp_path / "joints.csv", "q1,q2,q3", TRUE), driver)
-    np.testing.assert_array_equal(found.joints, TRUE)
+    assert_same(found.joints, TRUE)
     assert found.arm is None
     assert "3 readings, rad; 'q3' is each jaw's angle from the midline (--jaw full if not)" in found.note
     assert "q1 0.7 to 0.78" in found.note
@@ -71,18 +80,18 @@ def test_the_dvrks_names_are_known_and_its_jaw_is_the_whole_angle(
 ) -> None:
     path = table(tmp_path / "joints.csv", header, six_and_jaw())
     found = read(path, driver)
-    np.testing.assert_allclose(found.joints, TRUE, atol=1e-15)
+    assert_close(found.joints, TRUE, atol=1e-15)
     assert found.arm is None
     assert "--joints-arm keeps them" in found.note
     found = read(path, driver, arm=True)
-    np.testing.assert_allclose(found.arm, np.column_stack([ARM, TRUE[:, :2]]), atol=1e-15)
+    assert_close(found.arm, np.column_stack([ARM, TRUE[:, :2]]), atol=1e-15)
 
 
 def test_six_joints_without_a_jaw_are_the_arms_and_no_readings(tmp_path: Path, driver: Instrument) -> None:
     path = table(tmp_path / "joints.csv", DVRK.removesuffix(",jaw"), six_and_jaw()[:, :6])
     found = read(path, driver, arm=True)
     assert found.joints is None
-    np.testing.assert_array_equal(found.arm, six_and_jaw()[:, :6])
+    assert_same(found.arm, six_and_jaw()[:, :6])
     with pytest.raises(DatasetError, match="no column 'q3' or 'jaw'"):
         read(path, driver)
 
@@ -118,9 +127,9 @@ def test_what_is_told_or_named_comes_out_as_it_was(
         names = [f"outer_yaw{suffix}", f"outer_pitch{suffix}", "outer_insertion_m", f"outer_roll{suffix}", *names]
     path = table(tmp_path_factory.mktemp("told") / "joints.csv", ",".join(names), written)
     found = read(path, driver, unit=None if named else unit, jaw="full" if whole else "half", arm=arm)
-    np.testing.assert_allclose(found.joints, true, atol=1e-12)
+    assert_close(found.joints, true, atol=1e-12)
     if arm:
-        np.testing.assert_allclose(found.arm, np.column_stack([ARM, true[:, :2]]), atol=1e-12)
+        assert_close(found.arm, np.column_stack([ARM, true[:, :2]]), atol=1e-12)
 
 
 @given(
@@ -136,14 +145,14 @@ def test_degrees_are_never_taken_for_radians(
     path = table(tmp_path_factory.mktemp("deg") / "joints.csv", "q1,q2,q3", np.rad2deg(joints))
     with pytest.raises(DatasetError, match=r"far outside .* if the file is in degrees: --joints-unit deg$"):
         read(path, driver)
-    np.testing.assert_allclose(read(path, driver, unit="deg").joints, joints, atol=1e-12)
+    assert_close(read(path, driver, unit="deg").joints, joints, atol=1e-12)
 
 
 def test_jaws_that_open_further_than_the_instruments_are_asked_about(tmp_path: Path, driver: Instrument) -> None:
     path = table(tmp_path / "joints.csv", "q1,q2,q3", TRUE * [1, 1, 2])
     with pytest.raises(DatasetError, match=r"reach 0.84 rad from the midline, .* open to 0.698; .*: --jaw full, else"):
         read(path, driver)
-    np.testing.assert_allclose(read(path, driver, jaw="full").joints, TRUE)
+    assert_close(read(path, driver, jaw="full").joints, TRUE)
     assert read(path, driver, jaw="half").joints is not None
 
 
@@ -151,7 +160,7 @@ def test_both_at_once_are_told_at_once(tmp_path: Path, driver: Instrument) -> No
     path = table(tmp_path / "joints.csv", "q1,q2,q3", np.rad2deg(TRUE * [1, 1, 2]))
     with pytest.raises(DatasetError, match=r"--joints-unit deg --jaw full$"):
         read(path, driver)
-    np.testing.assert_allclose(read(path, driver, unit="deg", jaw="full").joints, TRUE)
+    assert_close(read(path, driver, unit="deg", jaw="full").joints, TRUE)
 
 
 def test_what_fits_nothing_is_named_by_its_frame(tmp_path: Path, driver: Instrument) -> None:
@@ -190,7 +199,7 @@ def test_an_insertion_in_millimetres_says_so_or_is_refused(tmp_path: Path, drive
     named = DVRK.replace("insertion", "insertion_mm")
     found = read(table(tmp_path / "joints.csv", named, millimetres), driver, arm=True)
     assert found.arm is not None
-    np.testing.assert_allclose(found.arm[:, 2], ARM[:, 2])
+    assert_close(found.arm[:, 2], ARM[:, 2])
 
 
 @pytest.mark.parametrize(
@@ -208,7 +217,7 @@ def test_tables_as_people_write_them(tmp_path: Path, driver: Instrument, text: s
     for encoding in ("utf-8", "utf-16"):
         path = tmp_path / "joints.csv"
         path.write_bytes(text.removeprefix("\ufeff" if encoding == "utf-16" else "").encode(encoding))
-        np.testing.assert_allclose(read(path, driver).joints, np.tile([0.1, 0.2, 0.3], (3, 1)))
+        assert_close(read(path, driver).joints, np.tile([0.1, 0.2, 0.3], (3, 1)))
 
 
 def test_rows_between_masks_are_left_out(tmp_path: Path, driver: Instrument) -> None:
@@ -216,7 +225,7 @@ def test_rows_between_masks_are_left_out(tmp_path: Path, driver: Instrument) -> 
     path = table(tmp_path / "joints.csv", "q1,q2,q3", TRUE)
     found = read_joints(path, [0, 2], driver)
     assert found is not None
-    np.testing.assert_array_equal(found.joints, TRUE[[0, 2]])
+    assert_same(found.joints, TRUE[[0, 2]])
     with pytest.raises(DatasetError, match="line 4: there is no mask of frame 2"):
         read_joints(path, [0, 1], driver)
 
@@ -245,8 +254,8 @@ def test_all_six_joints_are_kept_when_asked_for(
     assert "all six joints of the arm are kept" in capfd.readouterr().err
     assert validate(tmp_path / "arm") == []
     sequence = open_as(InstrumentDataset, tmp_path / "arm").sequences[0]
-    np.testing.assert_allclose(sequence.arm_joints("left"), np.column_stack([ARM, TRUE[:, :2]]))
-    np.testing.assert_allclose(sequence.readings("left"), TRUE)
+    assert_close(sequence.arm_joints("left"), np.column_stack([ARM, TRUE[:, :2]]))
+    assert_close(sequence.readings("left"), TRUE)
     assert sequence.kinematics("left") is None
     surgbench("import", "masks", source, "--out", tmp_path / "plain")
     plain = open_as(InstrumentDataset, tmp_path / "plain")
@@ -265,5 +274,5 @@ def test_degrees_are_one_line_with_the_option_that_makes_them_right(
     assert not (tmp_path / "out").exists()
     surgbench("import", "masks", source, "--out", tmp_path / "out", "--joints-unit", "deg")
     dataset = open_as(InstrumentDataset, tmp_path / "out")
-    np.testing.assert_allclose(dataset.sequences[0].readings("left"), TRUE)
+    assert_close(dataset.sequences[0].readings("left"), TRUE)
     assert dataset.manifest.configuration["joints_unit"] == "deg"

@@ -125,8 +125,8 @@ def test_what_is_left_of_the_rotation_is_the_angle_between_the_shafts(off: tuple
     observed = np.ones(9, dtype=bool)
     observed[BETA] = False
     chosen = choose_seen_alike(estimate, truth, observed)
-    shafts = [look_at_rotation(state[:3])[:, 2] for state in (estimate, truth)]
-    expected = np.arctan2(np.linalg.norm(np.cross(*shafts)), shafts[0] @ shafts[1])
+    its, true = (look_at_rotation(state[:3])[:, 2] for state in (estimate, truth))
+    expected = np.arctan2(np.linalg.norm(np.cross(its, true)), its @ true)
     between = look_at_rotation(truth[:3]).T @ look_at_rotation(chosen[:3])
     np.testing.assert_allclose(np.arccos(np.clip((np.trace(between) - 1) / 2, -1, 1)), expected, atol=1e-6)
     np.testing.assert_array_equal(choose_seen_alike(estimate, truth, np.ones(9, dtype=bool)), estimate)

@@ -134,7 +134,7 @@ def test_the_joints_of_the_readings_are_clipped_as_trackers_see_them(data: UnitD
 
 
 def recording(**axes: Any) -> dict[str, Any]:
-    content = record(truth=False, dataset=("real", "cd" * 32), frames=4, **axes)
+    content: dict[str, Any] = record(truth=False, dataset=("real", "cd" * 32), frames=4, **axes)
     content["errors"] |= {
         ABSENT: [0.0, 0.0, 1.0, 0.0],
         REFERENCE_TIPS: [[2.0], [4.0], [None], [6.0]],

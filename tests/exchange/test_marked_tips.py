@@ -52,10 +52,12 @@ def test_fractions_are_refused_and_scaled_when_told(
         read_tips(path, numbers, CAMERA)
     told = read_tips(path, numbers, CAMERA, "fraction")
     assert told is not None
+    assert told.points is not None
     expected: FloatArray = np.array(fractions).reshape(-1, 2, 2) * [640, 480] - 0.5
     np.testing.assert_allclose(told.points, expected)
     as_pixels = read_tips(path, numbers, CAMERA, "px")
     assert as_pixels is not None
+    assert as_pixels.points is not None
     np.testing.assert_allclose(as_pixels.points, np.array(fractions).reshape(-1, 2, 2))
 
 
