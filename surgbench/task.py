@@ -130,6 +130,11 @@ class Task(ABC):
         return COMMON_COLUMNS
 
     @property
+    def further_columns(self) -> tuple[Field, ...]:
+        """Of the leaderboard, after the others, those that stand only where a row has a value of them."""
+        return ()
+
+    @property
     @abstractmethod
     def shown(self) -> tuple[Column, ...]:
         """Columns that tables are read by, in order."""

@@ -17,13 +17,16 @@ from surgbench.dataset.manifest import MANIFEST_NAME
 from surgbench.dataset.storage import check_new, file_entry, storage_error
 from surgbench.errors import ConfigError
 from surgbench.instrument import load_instrument, save_instrument
+from surgbench.recordings.beside import BesideOptions
 from surgbench.recordings.coding import WHOLE, Told, read_coding
-from surgbench.recordings.folder import read_recording
+from surgbench.recordings.folder import find_masks, open_masks, read_recording
 from surgbench.recordings.labels import parse_codes, parse_instances
 from surgbench.recordings.names import Stamps
 from surgbench.recordings.survey import Channel
 from surgbench.tasks.instrument.format import (
+    ARM_JOINTS_CONVENTION,
     ARMS,
+    CONVENTIONS,
     Arm,
     InstrumentManifest,
     instrument_folder,
@@ -48,6 +51,7 @@ def import_masks(
     told: Told | None = None,
     single_images: bool = False,
     optics: CameraOptions | None = None,
+    beside: BesideOptions | None = None,
     progress: Callable[[float], None] = lambda frames: None,
     say: Callable[[str], None] = lambda line: None,
 ) -> int:
@@ -55,8 +59,8 @@ def import_masks(
 
     Args:
         source: Holds ``masks/`` (PNG, JPEG), ``masks.mp4`` or the like, or ``masks.json`` (RLE); a camera file;
-            where they exist ``images/``, ``joints.csv`` (frame, q1, q2, q3 in radians) and ``tips.csv`` (frame, u1,
-            v1, u2, v2 in pixels). Or the file itself that holds the masks.
+            where they exist ``images/``, ``joints.csv`` (:func:`surgbench.recordings.readings.read_joints`) and
+            ``tips.csv`` (:func:`surgbench.recordings.tips.read_tips`). Or the file itself that holds the masks.
         out: The dataset's folder: new or empty. It appears when the import is complete.
         name: The dataset's name; the source folder's unless told.
         fps: Frames per second; 30, or as a video says, unless told.
@@ -66,6 +70,7 @@ def import_masks(
         told: What is known of how the masks are coded; with ``instances`` each arm gets masks of its own.
         single_images: The masks are unrelated: each becomes a sequence of its own with one frame.
         optics: The camera's file, and what it does not say; the one in the folder unless told.
+        beside: What ``joints.csv`` and ``tips.csv`` do not say.
         progress: Takes the number of frames just done.
         say: Takes what was made of the recording, line by line; warnings begin with ``warning:``.
 
@@ -82,7 +87,9 @@ def import_masks(
     check_new(out)
     model = load_instrument(instrument)
     arms = arms_of(arm, told)
-    recording = read_recording(source, optics, arms=arms, single_images=single_images, stamps=stamps, fps=fps)
+    recording = read_recording(
+        source, model, optics, beside, arms=arms, single_images=single_images, stamps=stamps, fps=fps
+    )
     coding = read_coding(recording.masks, told)
     scratch = out.absolute().with_name(f".{out.absolute().name}.importing")
     try:
@@ -112,9 +119,11 @@ def import_masks(
                 "fps": recording.timing.fps,
                 "arm": arm if coding.groups.keys() == {WHOLE} else "-".join(coding.groups),
                 "single_images": single_images,
+                **(beside.told if beside is not None else {}),
                 "undistorted": recording.camera.is_distorted,
                 "source_camera": recording.camera.model_dump(mode="json"),
             },
+            conventions=CONVENTIONS | (ARM_JOINTS_CONVENTION if recording.arm_joints is not None else {}),
             cameras={CAMERA_NAME: recording.camera.pinhole},
             instruments={model.name: f"{folder}/instrument.yaml"},
             sequences=tuple(sequences),
@@ -169,7 +178,7 @@ class MasksImporter(Plugin):
         "surgbench import masks recordings/two --instances 1=left,2=right --out data/two",
     )
 
-    class Config(CameraOptions):
+    class Config(CameraOptions, BesideOptions):
         """Options."""
 
         name: Annotated[str | None, Field(description="The dataset's name; the source folder's unless told.")] = None
@@ -216,13 +225,8 @@ class MasksImporter(Plugin):
 
     def frames(self, source: Path) -> int:
         """How many masks there are."""
-        config = self.config
-        check_fps(config.fps)
-        arms = arms_of(config.arm, self._told())
-        recording = read_recording(
-            source, config, arms=arms, single_images=config.single_images, stamps=config.stamps, fps=config.fps
-        )
-        return len(recording.numbers)
+        check_fps(self.config.fps)
+        return len(open_masks(find_masks(source)).numbers)
 
     def run(self, source: Path, out: Path, progress: Callable[[float], None]) -> list[str]:
         """Make the dataset; returns what was made of the recording, line by line."""
@@ -238,6 +242,7 @@ class MasksImporter(Plugin):
             told=self._told(),
             single_images=config.single_images,
             optics=config,
+            beside=config,
             progress=progress,
             say=lines.append,
         )

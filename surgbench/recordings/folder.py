@@ -13,17 +13,16 @@ from surgbench.camera.options import CameraOptions
 from surgbench.camera.undistortion import undistort_points
 from surgbench.errors import DatasetError
 from surgbench.geometry import FloatArray
+from surgbench.instrument import Instrument
 from surgbench.leftovers import without_leftovers
+from surgbench.recordings.beside import BesideOptions, read_beside
 from surgbench.recordings.coco import MaskJson
 from surgbench.recordings.files import MaskFiles, numbered_pictures
 from surgbench.recordings.names import Stamps, Timing, check_stray, time_of_frames
 from surgbench.recordings.survey import MaskSource
-from surgbench.recordings.tables import read_table
 from surgbench.recordings.video import VIDEO_SUFFIXES, MaskVideo
 
 MASKS = "masks"
-JOINT_COLUMNS = ("q1", "q2", "q3")
-TIP_COLUMNS = ("u1", "v1", "u2", "v2")
 
 
 @dataclass(frozen=True)
@@ -36,6 +35,7 @@ class Recording:
         images: Files, one per frame, or ``None``.
         camera: Intrinsics, distortion included.
         joints: Arm to ``(frames, 3)`` readings, or ``None``.
+        arm_joints: Arm to ``(frames, 6)`` readings of all its joints, or ``None``.
         tips: Arm to ``(frames, 2, 2)`` tip pixels, NaN where missing, or ``None``.
         notes: What is to be told of it, one line each.
     """
@@ -45,6 +45,7 @@ class Recording:
     images: list[Path] | None
     camera: Camera
     joints: dict[str, FloatArray] | None
+    arm_joints: dict[str, FloatArray] | None
     tips: dict[str, FloatArray] | None
     notes: list[str] = field(default_factory=list)
 
@@ -56,7 +57,9 @@ class Recording:
 
 def read_recording(
     source: Path,
+    instrument: Instrument,
     optics: CameraOptions | None = None,
+    told: BesideOptions | None = None,
     *,
     arms: Sequence[str] = ("left",),
     single_images: bool = False,
@@ -67,7 +70,9 @@ def read_recording(
 
     Args:
         source: The folder, or the file in it that holds the masks (a video, or JSON).
+        instrument: Of the arms that the masks show.
         optics: Where its camera is, and what the camera's file does not say.
+        told: What the tables beside the masks do not say.
         arms: That the masks show; with two, columns of tables begin with an arm's name (``left_q1``).
         single_images: Frames are unrelated, so that no number is a stray one.
         stamps: What numbers in names count.
@@ -77,8 +82,6 @@ def read_recording(
         DatasetError: Something is missing or wrong; one line that names it.
         ConfigError: Frames per second are told of names that are times.
     """
-    if not source.exists():
-        raise DatasetError(f"{source}: no such folder; expected one with masks/ and a camera file")
     folder = source if source.is_dir() else source.parent
     place = find_masks(source)
     masks = open_masks(place)
@@ -103,14 +106,12 @@ def read_recording(
         if maskless:
             notes.append(f"{len(maskless)} of {len(found)} images have no mask, and are left out")
         images = [found[number] for number in numbers]
-    joints = _read_arms(folder / "joints.csv", JOINT_COLUMNS, numbers, arms, maskless, complete=True)
-    tips = _read_arms(folder / "tips.csv", TIP_COLUMNS, numbers, arms, maskless, complete=False)
-    if tips is not None:
-        tips = {arm: _pixels(folder / "tips.csv", values, numbers, camera) for arm, values in tips.items()}
-        lost = sum(_lost(points, camera) for points in tips.values())
-        if lost:
-            notes.append(f"tips.csv: {lost} tips lie outside of what an undistorted picture holds, and are left out")
-    return Recording(masks, timing, images, camera, joints, tips, notes)
+    beside = read_beside(folder, numbers, camera, instrument, told or BesideOptions(), arms=arms, maskless=maskless)
+    notes += beside.notes
+    lost = sum(_lost(points, camera) for points in (beside.tips or {}).values())
+    if lost:
+        notes.append(f"tips.csv: {lost} tips lie outside of what an undistorted picture holds, and are left out")
+    return Recording(masks, timing, images, camera, beside.joints, beside.arm_joints, beside.tips, notes)
 
 
 def find_masks(source: Path) -> Path:
@@ -122,6 +123,8 @@ def find_masks(source: Path) -> Path:
     Raises:
         DatasetError: There are none, or it is not clear which; one line.
     """
+    if not source.exists():
+        raise DatasetError(f"{source}: no such folder; expected one with masks/ and a camera file")
     if not source.is_dir():
         return source
     if (source / MASKS).is_dir():
@@ -169,46 +172,6 @@ def _timing(masks: MaskSource, stamps: Stamps, fps: float | None, *, single_imag
     steps = np.diff(masks.times_s)
     dt_s = float(np.median(steps)) if len(steps) else 1.0 / 30.0
     return Timing(masks.times_s, dt_s, 1.0 / dt_s, f"{1.0 / dt_s:.5g} frames per second, as the video says")
-
-
-def _read_arms(
-    path: Path, columns: tuple[str, ...], numbers: list[int], arms: Sequence[str], maskless: set[int], *, complete: bool
-) -> dict[str, FloatArray] | None:
-    """A table with the columns of each arm, by arm; ``None`` where there is no such file."""
-    _check_arms(path, columns, arms)
-    names = columns if len(arms) == 1 else tuple(f"{arm}_{column}" for arm in arms for column in columns)
-    values = read_table(path, names, numbers, complete=complete, maskless=maskless)
-    if values is None:
-        return None
-    return dict(zip(arms, np.split(values, len(arms), axis=1), strict=True))
-
-
-def _check_arms(path: Path, columns: tuple[str, ...], arms: Sequence[str]) -> None:
-    """See that a table of two arms is not read as one of one, nor the other way round."""
-    try:
-        with path.open(encoding="utf-8-sig") as file:
-            header = [cell.strip() for cell in file.readline().split(",")]
-    except (OSError, UnicodeDecodeError):
-        return  # who reads it says so
-    if len(arms) == 1 and f"left_{columns[0]}" in header:
-        raise DatasetError(
-            f"{path}: has columns of two arms; say --instances 1=left,2=right or --arms both, as the masks are"
-        )
-    if len(arms) > 1 and columns[0] in header:
-        raise DatasetError(
-            f"{path}: has columns of one arm; those of two are {arms[0]}_{columns[0]}, ..., {arms[1]}_{columns[-1]}"
-        )
-
-
-def _pixels(path: Path, values: FloatArray, numbers: list[int], camera: Camera) -> FloatArray:
-    """``(frames, 2, 2)`` tips of one arm, NaN where one is not known whole."""
-    points = values.reshape(-1, 2, 2)
-    points[np.isnan(points).any(axis=2)] = np.nan
-    outside = (~camera.contains(points) & ~np.isnan(points[..., 0])).any(axis=1)
-    if outside.any():
-        frame, size = numbers[int(np.argmax(outside))], f"{camera.width}x{camera.height}"
-        raise DatasetError(f"{path}: frame {frame}: a tip lies outside the image of {size} pixels")
-    return points
 
 
 def _lost(points: FloatArray, camera: Camera) -> int:

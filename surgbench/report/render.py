@@ -34,12 +34,13 @@ def csv(rows: Sequence[Row]) -> str:
 def json(rows: Sequence[Row]) -> str:
     """A list of rows; floats with all their digits, null for missing values."""
     typed = to_rows(to_frame(_own(rows), columns_of(rows)))
-    return json_list([{key: one[key] for key in keys(columns_of([row]))} for row, one in zip(rows, typed, strict=True)])
+    return json_list([{key: one[key] for key in own} for own, one in zip(_own(rows), typed, strict=True)])
 
 
 def _own(rows: Sequence[Row]) -> list[Row]:
     """Each with the columns of its own task only."""
-    return [{key: row[key] for key in keys(columns_of([row]))} for row in rows]
+    own = {name: keys(columns_of([row for row in rows if row["task"] == name])) for name in {r["task"] for r in rows}}
+    return [{key: row.get(key) for key in own[row["task"]]} for row in rows]
 
 
 def markdown(rows: Sequence[Row]) -> str:
@@ -52,7 +53,7 @@ def markdown(rows: Sequence[Row]) -> str:
             columns.append(STATUS)
         lines = [[column.heading for column in columns]]
         for row in group:
-            cells = [escape(column.text(row[column.key])) for column in columns]
+            cells = [escape(column.text(row.get(column.key))) for column in columns]
             lines.append(
                 [
                     f"**{cell}**" if _is_best(column, row, best) else cell
@@ -99,7 +100,7 @@ def print_leaderboard(rows: Sequence[Row], console: Console) -> None:
             )
         for row in group:
             cells = [
-                Text(column.text(row[column.key]), style="bold" if _is_best(column, row, best) else "")
+                Text(column.text(row.get(column.key)), style="bold" if _is_best(column, row, best) else "")
                 for column in columns
             ]
             sheet.add_row(*cells, style=_style(row))
@@ -129,7 +130,7 @@ def _shown(rows: list[Row], width: int | None = None) -> list[Column]:
         column
         for column in _columns(rows)
         if (width is None or width >= column.from_width or (column is VARIANT and telling))
-        and (column is ROW or any(row[column.key] is not None for row in rows))
+        and (column is ROW or any(row.get(column.key) is not None for row in rows))
         and (column.key != "coverage" or any(row["coverage"] < 1 for row in rows))
         and (column.key not in find_task(rows[0]["task"]).parts or len({row[column.key] for row in rows}) > 1)
     ]
@@ -142,14 +143,14 @@ def _best(rows: list[Row]) -> dict[Any, Any]:
     for part in dict.fromkeys(map(_part, sound)):
         own = [row for row in sound if _part(row) == part]
         for column in _columns(rows) if len(own) > 1 else ():
-            values = [row[column.key] for row in own if row[column.key] is not None]
+            values = [row[column.key] for row in own if row.get(column.key) is not None]
             if values:
                 best[part, column.key] = min(values)
     return best
 
 
 def _is_best(column: Column, row: Row, best: dict[Any, Any]) -> bool:
-    value = row[column.key]
+    value = row.get(column.key)
     return column.best and _ranks(row) and value is not None and value == best.get((_part(row), column.key))
 
 

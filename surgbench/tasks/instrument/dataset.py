@@ -29,6 +29,7 @@ from surgbench.tasks.instrument.format import (
     states_path,
 )
 from surgbench.tasks.instrument.tables import (
+    ARM_JOINT_COLUMNS,
     KEYPOINT_COLUMNS,
     KINEMATICS_COLUMNS,
     READING_COLUMNS,
@@ -164,6 +165,17 @@ class Sequence:
             return None
         return tables.stack(self._observations, arm_columns(arm, READING_COLUMNS))
 
+    def arm_joints(self, arm: Arm) -> FloatArray | None:
+        """``(frames, 6)`` the robot's readings of the whole arm, NaN where one is missing; ``None`` if there are none.
+
+        Yaw, pitch (rad), insertion (m), roll, wrist pitch and wrist yaw (rad): those of
+        :class:`surgbench.instrument.arm.Manipulator`, and the first two of :meth:`readings`.
+        """
+        self._check_arm(arm)
+        if not self.entry.arm_joints:
+            return None
+        return tables.stack(self._observations, arm_columns(arm, ARM_JOINT_COLUMNS))
+
     def kinematics(self, arm: Arm) -> FloatArray | None:
         """``(frames, 4, 4)`` the robot's own readings of T_base_tool, NaN where one is missing.
 
@@ -224,6 +236,8 @@ def observation_columns(entry: SequenceEntry) -> list[str]:
             columns += arm_columns(arm, KEYPOINT_COLUMNS)
         if entry.readings:
             columns += arm_columns(arm, READING_COLUMNS)
+        if entry.arm_joints:
+            columns += arm_columns(arm, ARM_JOINT_COLUMNS)
         if entry.T_cam_base:
             columns += arm_columns(arm, KINEMATICS_COLUMNS)
     return columns

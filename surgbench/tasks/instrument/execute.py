@@ -19,6 +19,7 @@ from surgbench.suite.settings import Job, Plug
 from surgbench.tasks.instrument.dataset import InstrumentDataset, InstrumentUnit
 from surgbench.tasks.instrument.plan import InstrumentSettings
 from surgbench.tasks.instrument.records import ANSWER_COLUMNS, SHARES
+from surgbench.tasks.instrument.references import absent_from_masks, reference_errors
 from surgbench.tasks.instrument.units import UnitData
 from surgbench.tasks.instrument.worker import Answer, Setup, waiting
 
@@ -185,15 +186,18 @@ def _errors(
         places = np.where(away[..., None], np.nan, states[..., POSITION])
         scaled = [metrics.translation_error_scaled(places[:, arm], truth[:, arm, POSITION]) for arm in range(shape[1])]
         errors["translation_error_scaled_m"] = _finite(np.array(scaled))
-        lost, any_away = [answer.lost for answer in answers], away.any(axis=1)
-        errors["lost_precision"] = _finite(metrics.lost_precision(lost, any_away))
-        errors["lost_recall"] = _finite(metrics.lost_recall(lost, any_away))
-        coverages = metrics.interval_coverages(states, _deviations(answers, shape), truth)
+        observed = np.stack([instrument.observed for instrument in data.instruments])
+        coverages = metrics.interval_coverages(states, _deviations(answers, shape), truth, observed)
         errors |= {name: _finite(np.where(away, np.nan, values)) for name, values in coverages.items()}
+    else:
+        errors |= {name: _finite(values) for name, values in reference_errors(data, states, away).items()}
+    lost, any_away = [answer.lost for answer in answers], away.any(axis=1)
+    errors["lost_precision"] = _finite(metrics.lost_precision(lost, any_away))
+    errors["lost_recall"] = _finite(metrics.lost_recall(lost, any_away))
     # There is nothing to be held against a silhouette where no instrument shows.
     nothing = np.asarray(away.all(axis=1))
-    observed, clean = zip(*mask_errors, strict=True) if mask_errors else ((), ())
-    errors["mask_error"] = [None if gone else value for value, gone in zip(observed, nothing, strict=True)]
+    seen, clean = zip(*mask_errors, strict=True) if mask_errors else ((), ())
+    errors["mask_error"] = [None if gone else value for value, gone in zip(seen, nothing, strict=True)]
     if data.truth is None:
         errors["mask_error_true"] = None
     else:
@@ -207,13 +211,15 @@ def _errors(
 
 
 def out_of_view(data: UnitData, frames: int) -> NDArray[np.bool_]:
-    """In which of a unit's first frames an arm is out of view, ``(frames, arms)``; in none where there is no truth.
+    """In which of a unit's first frames an arm is out of view, ``(frames, arms)``.
 
     That is by the silhouette of its true state, so that it is the same for an arm alone and in a pair, and whatever
-    happens to masks.
+    happens to masks; without truth, by the masks.
     """
+    if data.truth is None:
+        return absent_from_masks(data, frames)
     away = np.zeros((frames, len(data.unit.arms)), dtype=bool)
-    if data.truth is None or not frames:
+    if not frames:
         return away
     camera = data.camera
     nothing = Reference(np.zeros((camera.height, camera.width), dtype=bool))

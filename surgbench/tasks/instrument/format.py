@@ -50,6 +50,13 @@ AUXILIARY_CONVENTION = {
 }
 
 
+# Added to the conventions of a dataset that has them.
+ARM_JOINTS_CONVENTION = {
+    "arm joints": "all six joints of the arm as the robot reads them: yaw, pitch, insertion, roll, wrist pitch, wrist "
+    "yaw; NaN: no reading",
+}
+
+
 class AuxiliaryEntry(Section):
     """A further camera of a sequence, which may move.
 
@@ -79,6 +86,8 @@ class SequenceEntry(Section):
         images: Whether ``observed/image/`` is there.
         keypoints: Whether observations have tip keypoints.
         readings: Whether observations have joint readings.
+        arm_joints: Whether observations have all six joints of the arm that holds the instrument. Left out of the file
+            where they have not.
         truth: Whether ``truth/<id>/`` is there.
         T_cam_base: Arm to the nominal place of its base frame in the camera frame, ``(4, 4)`` row by row, of every arm
             whose tool poses the observations hold; empty where they hold none.
@@ -97,6 +106,7 @@ class SequenceEntry(Section):
     images: bool = False
     keypoints: bool = False
     readings: bool = False
+    arm_joints: bool = False
     truth: bool = False
     T_cam_base: dict[Arm, Annotated[tuple[Finite, ...], Field(min_length=16, max_length=16)]] = {}
     source_frames: tuple[str, ...] = ()
@@ -104,8 +114,8 @@ class SequenceEntry(Section):
 
     @model_serializer(mode="wrap")
     def _without_what_is_not_there(self, serialise: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        # So that the hash of a dataset without auxiliary views does not know of them.
-        return {key: value for key, value in serialise(self).items() if key != "auxiliary" or value}
+        # So that the hash of a dataset without them does not know of them.
+        return {key: value for key, value in serialise(self).items() if key not in ("auxiliary", "arm_joints") or value}
 
     @model_validator(mode="after")
     def _consistent(self) -> SequenceEntry:

@@ -23,7 +23,7 @@ from surgbench.recordings.files import read_picture
 from surgbench.recordings.folder import Recording
 from surgbench.recordings.shares import Shares
 from surgbench.tasks.instrument.format import IMAGE_KIND, Arm, MaskKind, SequenceEntry, observed_path
-from surgbench.tasks.instrument.tables import KEYPOINT_COLUMNS, READING_COLUMNS, arm_columns
+from surgbench.tasks.instrument.tables import ARM_JOINT_COLUMNS, KEYPOINT_COLUMNS, READING_COLUMNS, arm_columns
 
 CAMERA_NAME = "camera"
 BOTH: Literal["both"] = "both"
@@ -77,6 +77,7 @@ class RecordingWriter:
             images=recording.images is not None,
             keypoints=recording.tips is not None,
             readings=recording.joints is not None,
+            arm_joints=recording.arm_joints is not None,
             source_frames=tuple(recording.masks.names[index] for index in part),
         )
 
@@ -115,4 +116,7 @@ class RecordingWriter:
                 columns |= dict(zip(arm_columns(arm, KEYPOINT_COLUMNS), tips.reshape(-1, 4).T, strict=True))
             if recording.joints is not None:
                 columns |= dict(zip(arm_columns(arm, READING_COLUMNS), recording.joints[arm][part].T, strict=True))
+            if recording.arm_joints is not None:
+                joints = recording.arm_joints[arm][part]
+                columns |= dict(zip(arm_columns(arm, ARM_JOINT_COLUMNS), joints.T, strict=True))
         return columns

@@ -32,7 +32,8 @@ class InstrumentTask(Task):
     summary: ClassVar[str] = "estimate the state of one or two instruments in every frame of a mask sequence"
     default: ClassVar[bool] = True
     made_by: ClassVar[tuple[str, ...]] = tuple(
-        f"{__package__}.{name}" for name in ("auxiliary", "dataset", "execute", "tables", "tips", "units", "worker")
+        f"{__package__}.{name}"
+        for name in ("auxiliary", "dataset", "execute", "references", "tables", "tips", "units", "worker")
     )
     first_check: ClassVar[str] = "plain sequence"
     may_refuse: ClassVar[tuple[str, ...]] = ("readings", "kinematics", "two arms")
@@ -89,6 +90,13 @@ class InstrumentTask(Task):
         from surgbench.tasks.instrument.rows import INSTRUMENT_COLUMNS
 
         return INSTRUMENT_COLUMNS
+
+    @property
+    def further_columns(self) -> tuple[Field, ...]:
+        """What recordings have in place of truth."""
+        from surgbench.tasks.instrument.rows import RECORDING_COLUMNS
+
+        return RECORDING_COLUMNS
 
     @property
     def shown(self) -> tuple[Column, ...]:

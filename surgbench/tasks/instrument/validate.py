@@ -29,6 +29,7 @@ from surgbench.tasks.instrument.format import (
     view_folder,
 )
 from surgbench.tasks.instrument.tables import (
+    ARM_JOINT_COLUMNS,
     KEYPOINT_COLUMNS,
     KINEMATICS_COLUMNS,
     READING_COLUMNS,
@@ -109,6 +110,11 @@ def _check_observations(root: Path, entry: SequenceEntry, camera: Camera) -> lis
             bad = (np.isinf(readings) | (np.abs(readings) > np.pi)).any(axis=1)
             if bad.any():
                 problems.append(f"{path}: frame {_first(bad)}: a joint reading of the {arm} arm is outside [-pi, pi]")
+        if entry.arm_joints:
+            joints = tables.stack(values, arm_columns(arm, ARM_JOINT_COLUMNS))
+            bad = (np.isinf(joints) | (np.abs(joints) > 2 * np.pi)).any(axis=1)
+            if bad.any():
+                problems.append(f"{path}: frame {_first(bad)}: a joint of the {arm} arm is beyond a full turn")
         if entry.T_cam_base:
             poses = tables.stack(values, arm_columns(arm, KINEMATICS_COLUMNS))
             missing = np.isnan(poses).all(axis=1)
