@@ -21,8 +21,8 @@ ENGINE = "surgbench"
 PLUGGED_IN = ("trackers", "generators", "exchange", "tasks")
 # Rooms of the engine that move estimates about, and make none.
 PLUMBING = (
-    "cli", "comparison", "configs", "conformance", "errors", "files", "generation", "kinds", "plugin_files",
-    "processes", "records", "registry", "report", "reproduce", "sources", "suite", "task",
+    "cli", "comparison", "configs", "conformance", "errors", "exporting", "files", "generation", "kinds",
+    "plugin_files", "processes", "records", "registry", "report", "reproduce", "sources", "suite", "task",
 )  # fmt: skip
 
 

@@ -10,6 +10,9 @@ from surgbench.dataset.masks import read_bytes
 from surgbench.dataset.storage import file_entry
 from surgbench.errors import DatasetError
 
+# Metadata for catalogues, as `surgbench export --format croissant` makes it to be put here; it says nothing new.
+METADATA_NAME = "croissant.json"
+
 
 def difference(path: Path, data: bytes, listed: FileEntry) -> str | None:
     """How a file's bytes differ from what the manifest says of them, one line; ``None`` if they do not."""
@@ -58,7 +61,7 @@ def check_files(
             problem = examine(file, data) if file in expected else None
         if problem is not None:
             problems.append(problem)
-    known = {*manifest.files, MANIFEST_NAME}
+    known = {*manifest.files, MANIFEST_NAME, METADATA_NAME}
     for place in sorted(root.rglob("*")):
         name = place.relative_to(root).as_posix()
         if not place.is_dir() and name not in known:
