@@ -96,18 +96,17 @@ def _write_dataset(dataset: InstrumentDataset, folder: Path, progress: Callable[
     for sequence in dataset.sequences:
         (folder / "images" / sequence.id).mkdir(parents=True)
         tips = {arm: _tips(dataset, sequence, arm) for arm in sequence.arms}
-        shown = [arm for arm in sequence.arms if arm in sequence.entry.kinds]
+        shown: list[tuple[str, Arm]] = [(arm, arm) for arm in sequence.arms if arm in sequence.entry.kinds]
         for frame in range(sequence.frames):
             image_id, name = firsts[sequence.id] + frame, f"images/{sequence.id}/{frame_name(frame)}"
             (folder / name).write_bytes(_picture(sequence, frame))
             size = {"width": sequence.camera.width, "height": sequence.camera.height}
             images.append({"id": image_id, "file_name": name, **size, "sequence": sequence.id, "frame": frame})
-            for kind in shown or [PAIR]:
+            for kind, arm in shown or [(PAIR, sequence.arms[0])]:
                 mask = (sequence.clean_mask if sequence.entry.truth else sequence.mask)(kind, frame)
                 if mask.any():
-                    arm = sequence.arms[0] if kind == PAIR else kind
-                    category = categories[sequence.entry.instruments[arm]]  # type: ignore[index]
-                    points = [0] * 6 if kind == PAIR else _keypoints(sequence, tips[arm][frame])  # type: ignore[index]
+                    category = categories[sequence.entry.instruments[arm]]
+                    points = _keypoints(sequence, tips[arm][frame]) if kind == arm else [0.0] * 6
                     head = {"id": len(annotations) + 1, "image_id": image_id, "category_id": category, "iscrowd": 0}
                     annotations.append({**head, **_shape(mask), **_points(points), "arm": kind})
         progress(sequence.frames * len(sequence.arms))

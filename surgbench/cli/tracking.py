@@ -1,0 +1,137 @@
+"""The steps of ``surgbench track``, each in a folder of its own below one scratch folder."""
+
+from __future__ import annotations
+
+import sys
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from surgbench.cli.mask_video import VIDEO_SUFFIXES, extract_masks
+from surgbench.cli.progress import progress
+from surgbench.cli.track import IMPORTER
+from surgbench.dataset.base import Dataset
+from surgbench.dataset.open import open_dataset
+from surgbench.errors import ConfigError, DatasetError, SurgbenchError
+from surgbench.exporting import export, read_material
+from surgbench.records.reader import read_records
+from surgbench.registry import create, find
+from surgbench.report.video_options import VideoOptions
+from surgbench.suite.plan import complete_all, jobs
+from surgbench.suite.run import make_plan, run
+from surgbench.suite.running import Run
+from surgbench.suite.suites import from_command_line, parse_sets
+from surgbench.task import find_task
+
+CAMERA_STEM = "camera"
+
+
+class Tracking:
+    """One recording on its way to poses.
+
+    Args:
+        scratch: A folder for everything that is made on the way.
+    """
+
+    def __init__(self, scratch: Path) -> None:
+        self._recording, self._data, self._runs, self._export, self._drawn = (
+            scratch / name for name in ("recording", "dataset", "runs", "export", "video")
+        )
+
+    def read(self, source: Path, camera: Path | None, options: dict[str, Any]) -> None:
+        """Import the recording.
+
+        Args:
+            source: A video of masks, a folder of masks, or a folder as the importer takes it.
+            camera: Its camera, if it is not in that folder.
+            options: Those of the importer.
+
+        Raises:
+            SurgbenchError: Something in it is missing or wrong.
+        """
+        told = self._gather(source, camera)
+        importer = create(find("importer", IMPORTER), {**told, **options})
+        try:
+            with progress("reading frames", importer.frames(self._recording)) as advance:
+                importer.run(self._recording, self._data, advance)
+        except SurgbenchError as error:  # of files that lie elsewhere
+            raise type(error)(self._as_given(str(error), source)) from None
+
+    def _as_given(self, message: str, source: Path) -> str:
+        """A message of the importer with the names of files as the user knows them."""
+        if not (source / "masks").is_dir():
+            message = message.replace(str(self._recording / "masks"), str(source))
+        return message.replace(str(self._recording), str(source))
+
+    def _gather(self, source: Path, camera: Path | None) -> dict[str, Any]:
+        """Put together a folder that the importer takes, of links; returns what options the source itself tells."""
+        if not source.exists():
+            raise DatasetError(f"{source}: no such file or folder; expected a video of masks, or a folder of them")
+        if camera is not None and not camera.is_file():
+            raise DatasetError(f"--camera {camera}: no such file")
+        self._recording.mkdir()
+        told: dict[str, Any] = {"name": source.resolve().stem}
+        if source.is_file():
+            if source.suffix.lower() not in VIDEO_SUFFIXES:
+                raise DatasetError(f"{source}: not a video ({', '.join(VIDEO_SUFFIXES)}), nor a folder of masks")
+            told["fps"] = extract_masks(source, self._recording / "masks")
+        elif (source / "masks").is_dir():
+            for path in source.iterdir():
+                if camera is None or path.stem != CAMERA_STEM:
+                    (self._recording / path.name).symlink_to(path.resolve())
+        else:
+            (self._recording / "masks").symlink_to(source.resolve())
+        if camera is not None:
+            (self._recording / f"{CAMERA_STEM}{camera.suffix.lower()}").symlink_to(camera.resolve())
+        elif not any(path.stem == CAMERA_STEM for path in self._recording.iterdir()):
+            raise ConfigError(f"{source}: holds no camera file; say where it is: --camera FILE")
+        return told
+
+    @cached_property
+    def _dataset(self) -> Dataset[Any]:
+        return open_dataset(self._data)
+
+    def run(self, tracker: str, joints: bool, sets: list[str]) -> None:
+        """Track every unit.
+
+        Args:
+            tracker: A name, or ``FILE.py:Class``.
+            joints: With joint readings.
+            sets: Options of plug-ins, ``NAME.option=value``.
+
+        Raises:
+            SurgbenchError: The tracker is not there, cannot run here, or fails.
+        """
+        suite = from_command_line(None, [tracker], {"readings": "noisy"} if joints else {}, {})
+        planned = complete_all(suite.rows, suite, self._dataset, parse_sets(sets))
+        todo = [job for one in planned for job in jobs(one, self._dataset)]
+        for one in planned:
+            if one.unavailable is not None:
+                raise SurgbenchError(one.unavailable)
+        plan = make_plan(todo, self._runs)
+        problems: list[str] = []
+
+        def finished(record: dict[str, Any]) -> None:
+            if record["status"] != "ok":
+                problems.append(f"{record['spec']['row_id']} {record['spec']['unit']}: {record['error']}")
+
+        with progress("tracking frames", plan.frames) as bar:
+            run(plan, self._dataset, self._runs, 1, Run(bar, bar.stage), finished)
+        if problems:
+            raise SurgbenchError(problems[0])
+
+    def poses(self) -> Path:
+        """A table of the poses."""
+        exporter = create(find("exporter", "csv"), {})
+        export(exporter, read_material(self._runs), self._export, lambda frames: None)
+        (table,) = self._export.glob("*.csv")
+        return table
+
+    def video(self) -> Path:
+        """The estimates over the masks, or pictures where there are any."""
+        records, options = read_records([self._runs]), VideoOptions(overlay=True)
+        drawn = find_task(self._dataset.task).draw(records, options, None, self._drawn, progress)
+        films = [path for path in drawn if path.suffix == ".mp4"]
+        if len(films) > 1:
+            print(f"the video shows the first of {len(films)} sequences", file=sys.stderr)
+        return films[0]
