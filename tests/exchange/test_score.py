@@ -240,3 +240,14 @@ def test_recordings_without_truth_are_scored_by_their_masks(truth: Path, tmp_pat
         assert record["errors"]["mask_error"] == [0.0] * FRAMES
         assert record["errors"]["tip_error_m"] is None
         assert record["spec"]["readings"] == "noisy"
+
+
+def test_estimates_from_a_file_are_drawn_as_any_others(
+    dataset: InstrumentDataset, truth: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    runs = tmp_path / "runs"
+    surgbench("score", dataset.path, truth, "--name", "mine", "--out", runs)
+    surgbench("video", runs, "--unit", "000-left", "--out", tmp_path / "film")
+    assert {path.name for path in (tmp_path / "film").iterdir()} == {"000-left.mp4", "000-left.png"}
+    surgbench("video", runs, "--unit", "000-left", "--samples", "--out", tmp_path / "film", expect=2)
+    assert "no tracker here shows its candidates" in capsys.readouterr().err  # nothing can be repeated

@@ -127,10 +127,13 @@ def sample_sheet(dataset: InstrumentDataset, scenery: Scenery, shots: Sequence[S
     for instrument in scenery.instruments:
         if not instrument.spec.skeleton:
             raise SurgbenchError(f"--samples: instrument '{instrument.name}' has no 'skeleton' in its file to draw")
+    from surgbench.tasks.instrument.from_file import FROM_FILE
     from surgbench.tasks.instrument.replay import replay_traces
 
     rows = []
     for shot in shots:
+        if shot.record.spec.tracker.source.startswith(FROM_FILE):
+            continue  # there is nothing here that could be repeated
         content = json.loads(shot.record.path.read_text(encoding="utf-8"))
         wanted = [frame for frame in frames if shot.state(frame) is not None]
         traces = replay_traces(content, dataset, wanted) if wanted else {}
