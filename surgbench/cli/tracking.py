@@ -24,6 +24,8 @@ from surgbench.suite.suites import from_command_line, parse_sets
 from surgbench.task import find_task
 
 CAMERA_STEM = "camera"
+# The longest wait for one answer of a tracker: nothing is measured here, and a machine may be busy.
+PATIENCE_S = 600.0
 
 
 class Tracking:
@@ -102,7 +104,8 @@ class Tracking:
         Raises:
             SurgbenchError: The tracker is not there, cannot run here, or fails.
         """
-        suite = from_command_line(None, [tracker], {"readings": "noisy"} if joints else {}, {})
+        row = {"readings": "noisy"} if joints else {}
+        suite = from_command_line(None, [tracker], row, {"timeout_s": PATIENCE_S})
         planned = complete_all(suite.rows, suite, self._dataset, parse_sets(sets))
         todo = [job for one in planned for job in jobs(one, self._dataset)]
         for one in planned:

@@ -112,7 +112,7 @@ def test_what_is_wrong_is_one_line_and_leaves_nothing(
         ((source, out, *given, "--tracker", "hybird"), "did you mean 'hybrid'"),
         ((source, out, *given, "--instrument", "large_needle"), "large_needle_driver"),
         ((source, out, *given, "--joints"), "no joint readings"),
-        ((source, out, *given, "--tracker", f"{STRANGERS}:Raises"), "Raises"),
+        ((source, out, *given, "--tracker", f"{STRANGERS}:Raises"), "frame 1: RuntimeError: no instrument anywhere"),
     ):
         capsys.readouterr()
         track(*arguments, expect=2)
