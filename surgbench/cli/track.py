@@ -56,7 +56,7 @@ def track(
     # Beside the result, so that it is put in its place at once; not in memory, where temporary folders may lie.
     scratch = Path(tempfile.mkdtemp(prefix=f".{out.name}.", suffix=".tracking", dir=out.absolute().parent))
     try:
-        work = Tracking(scratch)
+        work = Tracking(scratch, IMPORTER)
         work.read(source, camera, options)
         work.run(tracker, joints, set_ or [])
         made = [(work.poses(), out)]

@@ -9,7 +9,6 @@ from typing import Any
 
 from surgbench.cli.mask_video import VIDEO_SUFFIXES, extract_masks
 from surgbench.cli.progress import progress
-from surgbench.cli.track import IMPORTER
 from surgbench.dataset.base import Dataset
 from surgbench.dataset.open import open_dataset
 from surgbench.errors import ConfigError, DatasetError, SurgbenchError
@@ -33,9 +32,11 @@ class Tracking:
 
     Args:
         scratch: A folder for everything that is made on the way.
+        importer: What reads it.
     """
 
-    def __init__(self, scratch: Path) -> None:
+    def __init__(self, scratch: Path, importer: str) -> None:
+        self._importer = importer
         self._recording, self._data, self._runs, self._export, self._drawn = (
             scratch / name for name in ("recording", "dataset", "runs", "export", "video")
         )
@@ -52,7 +53,7 @@ class Tracking:
             SurgbenchError: Something in it is missing or wrong.
         """
         told = self._gather(source, camera)
-        importer = create(find("importer", IMPORTER), {**told, **options})
+        importer = create(find("importer", self._importer), {**told, **options})
         try:
             with progress("reading frames", importer.frames(self._recording)) as advance:
                 importer.run(self._recording, self._data, advance)
