@@ -8,7 +8,7 @@ import numpy as np
 
 from surgbench.camera import Camera
 from surgbench.dataset.manifest import observations_path
-from surgbench.dataset.masks import encode_mask
+from surgbench.dataset.masks import Mask, encode_mask
 from surgbench.dataset.open import open_as
 from surgbench.dataset.tables import encode_table
 from surgbench.files import sha256_file
@@ -56,7 +56,7 @@ def make_pair(
         id_ = f"{number:03d}"
         states = {arm: states_of(arm, frames, number) for arm in ARMS}
         for frame in range(frames):
-            masks = {arm: alone.mask(states[arm][frame]) for arm in ARMS}
+            masks: dict[str, Mask] = {arm: alone.mask(states[arm][frame]) for arm in ARMS}
             masks |= {"both": pair.mask(np.concatenate([states[arm][frame] for arm in ARMS]))}
             for kind, mask in masks.items():
                 _put(root / observed_path(id_, kind, frame), encode_mask(mask))
