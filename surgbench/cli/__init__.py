@@ -15,6 +15,7 @@ from typer.core import TyperGroup
 from surgbench.caches import settle_caches
 from surgbench.cli.bench import bench_app
 from surgbench.cli.check import tracker
+from surgbench.cli.export import export
 from surgbench.cli.generate import generate
 from surgbench.cli.import_ import import_app
 from surgbench.cli.list_ import list_names
@@ -22,6 +23,8 @@ from surgbench.cli.options import field_options, with_options
 from surgbench.cli.report import report
 from surgbench.cli.reproduce import reproduce
 from surgbench.cli.run import run
+from surgbench.cli.score import score
+from surgbench.cli.track import IMPORTER, NOT_ASKED, track
 from surgbench.cli.train import train_app
 from surgbench.cli.validate import validate
 from surgbench.cli.video import video
@@ -40,7 +43,8 @@ class _Commands(TyperGroup):
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """The command that the arguments begin with."""
         name, command, rest = super().resolve_command(ctx, args)
-        return name, _run_with_all_options() if name == "run" else command, rest
+        whole = {"run": _run_with_all_options, "track": _track_with_all_options}.get(name or "")
+        return name, command if whole is None else whole(), rest
 
 
 def _run_with_all_options() -> Any:
@@ -50,6 +54,16 @@ def _run_with_all_options() -> Any:
     options = field_options({task.row: f"({task.name}) " for task in all_tasks()}, RowRequest)
     own = typer.Typer(rich_markup_mode=None, add_completion=False, pretty_exceptions_enable=False)
     own.command("run")(with_options(run, options, "asked"))
+    return typer.main.get_command(own)
+
+
+def _track_with_all_options() -> Any:
+    from surgbench.registry import find
+
+    model: Any = getattr(find("importer", IMPORTER).cls, "Config")  # noqa: B009
+    options = {key: value for key, value in field_options({model: ""}).items() if key not in NOT_ASKED}
+    own = typer.Typer(rich_markup_mode=None, add_completion=False, pretty_exceptions_enable=False)
+    own.command("track")(with_options(track, options, "options"))
     return typer.main.get_command(own)
 
 
@@ -91,6 +105,9 @@ app.command("run")(with_options(run, {}, "asked"))  # for the list of commands
 app.command("report")(report)
 app.command("reproduce")(reproduce)
 app.command("video")(video)
+app.command("export")(export)
+app.command("score")(score)
+app.command("track")(with_options(track, {}, "options"))  # likewise
 app.command("list")(list_names)
 check_app.command("tracker")(tracker)
 app.add_typer(check_app, name="check")

@@ -19,7 +19,7 @@ from surgbench.errors import ConfigError
 from surgbench.instrument import load_instrument, save_instrument
 from surgbench.recordings.beside import BesideOptions
 from surgbench.recordings.coding import WHOLE, Told, read_coding
-from surgbench.recordings.folder import find_masks, open_masks, read_recording
+from surgbench.recordings.folder import find_masks, open_masks, read_recording, recording_folder
 from surgbench.recordings.labels import parse_codes, parse_instances
 from surgbench.recordings.names import Stamps
 from surgbench.recordings.survey import Channel
@@ -83,7 +83,9 @@ def import_masks(
     """
     check_fps(fps)
     told = told or Told(several=arm == BOTH)
-    label = re.sub(r"[^A-Za-z0-9_.-]", "-", name or _name(source)).lstrip("-_.") or "recording"
+    label = (
+        re.sub(r"[^A-Za-z0-9_.-]", "-", name or recording_folder(source).resolve().name).lstrip("-_.") or "recording"
+    )
     check_new(out)
     model = load_instrument(instrument)
     arms = arms_of(arm, told)
@@ -159,11 +161,6 @@ def arms_of(arm: Arms, told: Told) -> tuple[Arm, ...]:
     if told.instances:
         return tuple(one for one in ARMS if one in told.instances)
     return ARMS if arm == BOTH else (arm,)
-
-
-def _name(source: Path) -> str:
-    resolved = source.resolve()
-    return resolved.name if source.is_dir() else resolved.parent.name
 
 
 class MasksImporter(Plugin):

@@ -199,7 +199,8 @@ class _Decision:
             raise ConfigError(
                 f"{self._source.place}: {self._values} are neither labels nor nearly black and white; --threshold "
                 f"{(self._tally.full + 1) // 2} takes pixels of at least that value for instrument, --label "
-                f"{write_code(max(self._codes, key=self._weight))} those of one"
+                f"{write_code(max(self._codes, key=self._weight))} those of one (pictures "
+                "of a camera have to be segmented first)"
             )
         if colours and self._codes[0] == 0 and not self._told.invert:
             chosen = frozenset(self._codes[1:])

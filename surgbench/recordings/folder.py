@@ -15,6 +15,7 @@ from surgbench.errors import DatasetError
 from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument
 from surgbench.leftovers import without_leftovers
+from surgbench.pictures import PICTURE_SUFFIXES
 from surgbench.recordings.beside import BesideOptions, read_beside
 from surgbench.recordings.coco import MaskJson
 from surgbench.recordings.files import MaskFiles, numbered_pictures
@@ -82,8 +83,8 @@ def read_recording(
         DatasetError: Something is missing or wrong; one line that names it.
         ConfigError: Frames per second are told of names that are times.
     """
-    folder = source if source.is_dir() else source.parent
     place = find_masks(source)
+    folder = recording_folder(source)
     masks = open_masks(place)
     notes: list[str] = []
     camera = (optics or CameraOptions()).read(folder, masks.size, notes.append)
@@ -114,11 +115,21 @@ def read_recording(
     return Recording(masks, timing, images, camera, beside.joints, beside.arm_joints, beside.tips, notes)
 
 
+def recording_folder(source: Path) -> Path:
+    """The folder of a recording: where its camera, images and tables are looked for.
+
+    Args:
+        source: It, or the folder or file in it that holds the masks.
+    """
+    inside = not source.is_dir() or (source.name.lower() == MASKS and not (source / MASKS).is_dir())
+    return source.parent if inside else source
+
+
 def find_masks(source: Path) -> Path:
     """Where a recording's masks lie: the folder ``masks``, or a video or JSON file.
 
     Args:
-        source: The recording's folder, or the file itself.
+        source: The recording's folder, or the folder or file itself.
 
     Raises:
         DatasetError: There are none, or it is not clear which; one line.
@@ -130,6 +141,8 @@ def find_masks(source: Path) -> Path:
     if (source / MASKS).is_dir():
         return source / MASKS
     entries = sorted(path for path in without_leftovers(source.iterdir()) if path.is_file())
+    if any(path.suffix.lower() in PICTURE_SUFFIXES for path in entries):
+        return source
     known = [path for path in entries if path.suffix.lower() in (*VIDEO_SUFFIXES, ".json")]
     named = [path for path in known if path.stem.lower() == MASKS]
     if len(named) == 1:

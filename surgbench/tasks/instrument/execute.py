@@ -78,8 +78,15 @@ def first_truth(job: Job, data: UnitData, first: int = 0) -> FloatArray | None:
     return np.asarray(data.truth[first].reshape(-1))
 
 
-def execute(job: Job, dataset: InstrumentDataset, run: Run) -> dict[str, Any]:
-    """Run a job in a child process and measure what it estimated; see :meth:`surgbench.task.Task.execute`."""
+def execute(job: Job, dataset: InstrumentDataset, run: Run, *, waits: bool = True) -> dict[str, Any]:
+    """Run a job in a child process and measure what it estimated; see :meth:`surgbench.task.Task.execute`.
+
+    Args:
+        job: What is to be run.
+        dataset: What it is run on.
+        run: Gives the child process, and is told how far it is.
+        waits: Tracking begins in the first frame in whose mask an instrument shows; else in the first of all.
+    """
     settings = own_settings(job)
     data = unit_data(job, dataset)
     evaluator = SilhouetteEvaluator(data.instruments, data.camera)
@@ -90,7 +97,7 @@ def execute(job: Job, dataset: InstrumentDataset, run: Run) -> dict[str, Any]:
         with run.child(WORKER, settings.conditions.timeout_s) as child:
             child.send("setup", child_setup(job, data.scene()))
             child.ready()
-            first = _first_seen(data, job.frames)
+            first = _first_seen(data, job.frames) if waits else 0
             run.advance(first)
             for frame in range(first, job.frames):
                 run.check()

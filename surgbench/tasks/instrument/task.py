@@ -15,12 +15,13 @@ if TYPE_CHECKING:
     from surgbench.report.row import Row
     from surgbench.report.video_options import VideoOptions
     from surgbench.reproduce.sheet import Sheet
-    from surgbench.suite.asked import Conditions
+    from surgbench.suite.asked import Conditions, FileRequest
     from surgbench.suite.running import Run
     from surgbench.suite.settings import Job
     from surgbench.tasks.instrument.asked import InstrumentRow
     from surgbench.tasks.instrument.dataset import InstrumentDataset
     from surgbench.tasks.instrument.format import InstrumentManifest
+    from surgbench.tasks.instrument.from_file import FileJob
     from surgbench.tasks.instrument.plan import InstrumentSettings
     from surgbench.tasks.instrument.records import InstrumentRecord
 
@@ -76,6 +77,12 @@ class InstrumentTask(Task):
         from surgbench.tasks.instrument.execute import execute
 
         return execute(job, dataset, run)
+
+    def from_file(self, dataset: InstrumentDataset, path: Path, asked: FileRequest) -> list[FileJob]:
+        """Poses and joints in a table."""
+        from surgbench.tasks.instrument.from_file import file_jobs
+
+        return file_jobs(dataset, path, asked, self.made_by)
 
     @property
     def record(self) -> type[InstrumentRecord]:
