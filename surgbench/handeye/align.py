@@ -24,7 +24,7 @@ REFINED_FRAMES = 2.0
 # Scales are taken anew after the first of so many refinements.
 REFINEMENTS = 2
 # Residuals of frames that are no further apart than this are taken to be alike, for the interval.
-CORRELATED_FRAMES = 30
+CORRELATED_FRAMES = 60
 INTERVAL_SIGMAS = 1.96
 
 LAG = 6  # of the parameters: turn, shift, lag, stretch
@@ -174,8 +174,9 @@ def _lag_deviation(
     # Cauchy's loss: the score of a residual r is r / (1 + r²).
     slope = (1.0 - left**2) / (1.0 + left**2) ** 2
     score = (left / (1.0 + left**2))[:, None] * jacobian
-    score = score[: -len(USUAL)].reshape(-1, 6, PARAMETERS).sum(axis=1)
-    meat = score.T @ score
+    stretch, score = jacobian[-len(USUAL) :], score[: -len(USUAL)].reshape(-1, 6, PARAMETERS).sum(axis=1)
+    # What is expected of the cables is as uncertain as it is firm.
+    meat = score.T @ score + stretch.T @ stretch
     for apart in range(1, min(CORRELATED_FRAMES, len(score))):
         pairs = score[apart:].T @ score[:-apart]
         meat += (1.0 - apart / CORRELATED_FRAMES) * (pairs + pairs.T)
