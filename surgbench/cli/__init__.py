@@ -15,6 +15,7 @@ from typer.core import TyperGroup
 from surgbench.cli.bench import bench_app
 from surgbench.cli.check import tracker
 from surgbench.cli.generate import generate
+from surgbench.cli.handeye import handeye
 from surgbench.cli.import_ import import_app
 from surgbench.cli.list_ import list_names
 from surgbench.cli.options import field_options, with_options
@@ -87,6 +88,7 @@ app.command("run")(with_options(run, {}, "asked"))  # for the list of commands
 app.command("report")(report)
 app.command("reproduce")(reproduce)
 app.command("video")(video)
+app.command("handeye")(handeye)
 app.command("list")(list_names)
 check_app.command("tracker")(tracker)
 app.add_typer(check_app, name="check")

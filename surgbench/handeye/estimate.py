@@ -26,8 +26,8 @@ class HandEye:
             Negative where the readings run ahead of the pictures.
         lag_interval_frames: Of 95 %, from how much residuals scatter and for how long they are alike.
         T_cam_base: ``(4, 4)`` the hand-eye transform.
-        stretch: ``(4,)`` how far the readings of yaw, pitch, insertion and roll run ahead of the moving joint, radians and
-            metres; 0 of an arm that does not turn about its base's origin.
+        stretch: ``(4,)`` how far the readings of yaw, pitch, insertion and roll run ahead of the moving joint, radians
+            and metres; 0 of an arm that does not turn about its base's origin.
         off: ``(T, 6)`` tracked from expected poses: rotation vector and difference of positions in the camera's frame,
             radians and metres, after the twin rule; NaN where a frame has no estimate or no reading.
         middle_base_m: ``(3,)`` mean position of the wrist in the base's frame.
@@ -72,9 +72,10 @@ def estimate_hand_eye(
 ) -> HandEye:
     """The one transform and the one lag that most frames agree on.
 
-    The model is ``T_cam_wrist(t) = T_cam_base T_base_wrist(t + lag)``. Lags are searched with a transform that is fitted
-    to each in closed form, against outliers; from the best, transform and lag are refined together (Cauchy's loss on
-    residuals in units of their robust spread).
+    The model is ``T_cam_wrist(t) = T_cam_base T_base_wrist(t + lag)``, the readings ahead of moving joints by the
+    stretch of their cables (:mod:`surgbench.handeye.stretch`). Lags are searched with a transform that is fitted to each in
+    closed form, against outliers; from the best, all are refined together (Cauchy's loss on residuals in units of
+    their robust spread).
 
     Args:
         times_s: ``(T,)`` of the frames, increasing.

@@ -57,7 +57,7 @@ def nearer_twin(rotation: FloatArray, expected: FloatArray) -> FloatArray:
     """``(n, 3, 3)`` rotations, each turned by half a turn about its own z axis where that is nearer to the expected."""
     along = (rotation[:, :, :2] * expected[:, :, :2]).sum(axis=(1, 2))
     sign = np.where(along < 0, -1.0, 1.0)
-    return rotation * np.stack([sign, sign, np.ones_like(sign)], axis=1)[:, None, :]
+    return np.asarray(rotation * np.stack([sign, sign, np.ones_like(sign)], axis=1)[:, None, :])
 
 
 def closed_form(tracked: FloatArray, arm: FloatArray, weights: FloatArray) -> FloatArray:
@@ -113,7 +113,7 @@ def robust_fit(tracked: FloatArray, arm: FloatArray, scales: Scales) -> FloatArr
         right = tracked.copy()
         right[:, :3, :3] = nearer_twin(tracked[:, :3, :3], (transform @ arm)[:, :3, :3])
         transform = closed_form(right, arm, weights / np.square(scales))
-    return transform
+    return np.asarray(transform)
 
 
 def spread(off: FloatArray) -> Scales:

@@ -130,8 +130,8 @@ def load_arm(name_or_path: str | Path) -> Arm:
     """Load an arm.
 
     Args:
-        name_or_path: A built-in name (see ``surgbench list arms``), or the path of an arm file: any ``Path``, or a string
-            with a slash or ending in ``.yaml`` or ``.yml``.
+        name_or_path: A built-in name (see ``surgbench list arms``), or the path of an arm file: any ``Path``, or a
+            string with a slash or ending in ``.yaml`` or ``.yml``.
 
     Raises:
         NotFoundError: No built-in arm has this name.

@@ -52,7 +52,7 @@ def markdown(rows: Sequence[Row]) -> str:
             columns.append(STATUS)
         lines = [[column.heading for column in columns]]
         for row in group:
-            cells = [escape(column.text(row[column.key])) for column in columns]
+            cells = [escape(column.text(row.get(column.key))) for column in columns]
             lines.append(
                 [
                     f"**{cell}**" if _is_best(column, row, best) else cell
@@ -99,7 +99,7 @@ def print_leaderboard(rows: Sequence[Row], console: Console) -> None:
             )
         for row in group:
             cells = [
-                Text(column.text(row[column.key]), style="bold" if _is_best(column, row, best) else "")
+                Text(column.text(row.get(column.key)), style="bold" if _is_best(column, row, best) else "")
                 for column in columns
             ]
             sheet.add_row(*cells, style=_style(row))
@@ -129,7 +129,7 @@ def _shown(rows: list[Row], width: int | None = None) -> list[Column]:
         column
         for column in _columns(rows)
         if (width is None or width >= column.from_width or (column is VARIANT and telling))
-        and (column is ROW or any(row[column.key] is not None for row in rows))
+        and (column is ROW or any(row.get(column.key) is not None for row in rows))
         and (column.key != "coverage" or any(row["coverage"] < 1 for row in rows))
         and (column.key not in find_task(rows[0]["task"]).parts or len({row[column.key] for row in rows}) > 1)
     ]
@@ -142,14 +142,14 @@ def _best(rows: list[Row]) -> dict[Any, Any]:
     for part in dict.fromkeys(map(_part, sound)):
         own = [row for row in sound if _part(row) == part]
         for column in _columns(rows) if len(own) > 1 else ():
-            values = [row[column.key] for row in own if row[column.key] is not None]
+            values = [row[column.key] for row in own if row.get(column.key) is not None]
             if values:
                 best[part, column.key] = min(values)
     return best
 
 
 def _is_best(column: Column, row: Row, best: dict[Any, Any]) -> bool:
-    value = row[column.key]
+    value = row.get(column.key)
     return column.best and _ranks(row) and value is not None and value == best.get((_part(row), column.key))
 
 

@@ -63,9 +63,12 @@ def derive_rows(records: Sequence[Record]) -> list[Row]:
 
 
 def columns(rows: Sequence[Row]) -> tuple[Field, ...]:
-    """The columns that rows have: those of their task, or of all of their tasks."""
+    """The columns that rows have: those of their task, or of all of their tasks, and further ones that have a value."""
     tasks = [find_task(name) for name in sorted({row["task"] for row in rows})] or [default_task()]
-    return tuple(dict.fromkeys(column for task in tasks for column in task.columns))
+    own = [column for task in tasks for column in task.columns]
+    further = [column for task in tasks for column in task.further_columns]
+    own += [column for column in further if any(row.get(column.key) is not None for row in rows)]
+    return tuple(dict.fromkeys(own))
 
 
 def _place(task: Task, row: Row, group: str) -> tuple[Any, ...]:

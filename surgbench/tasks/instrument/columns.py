@@ -15,6 +15,13 @@ TIPS = Column("tip_error_m", "tips", "mm", 2, 1000.0, short="tips\nmm", best=Tru
 JOINTS = tuple(Column(f"q{n}_error_rad", f"q{n}", "rad", 3, short=f"q{n}\nrad", best=True) for n in (1, 2, 3))
 KEYPOINTS = Column("keypoint_error_px", "keypoints", "px", 1, short="tips\npx", best=True)
 
+# Against the robot's readings, of recordings without truth.
+HAND_EYE = (
+    Column("handeye_rotation_rad", "hand-eye rotation", "rad", 3, short="arm\nrad", best=True),
+    Column("handeye_translation_m", "hand-eye translation", "mm", 2, 1000.0, short="arm\nmm", best=True),
+    Column("lag_frames", "lag of readings", "frames", 1, short="lag\nframes", from_width=100),
+)
+
 COLUMNS = (
     ROW,
     VARIANT,
@@ -22,6 +29,7 @@ COLUMNS = (
     Column("coverage", "done", "%", 0, 100.0, short="done\n%"),
     MASK,
     TRUE_MASK,
+    *HAND_EYE,
     ROTATION,
     TRANSLATION,
     TIPS,

@@ -7,7 +7,7 @@ from surgbench.metrics import POSE_ERRORS
 from surgbench.report.field import count, flag, number, text
 from surgbench.report.row import COMMON_COLUMNS, Row, median, pooled
 from surgbench.report.summary import summarise
-from surgbench.tasks.instrument.records import PER_ARM, SHARES, InstrumentRecord
+from surgbench.tasks.instrument.records import JUDGED, PER_ARM, SHARES, InstrumentRecord
 
 SETTING_COLUMNS = (
     *text("arms"),
@@ -25,6 +25,8 @@ INSTRUMENT_COLUMNS = (
     *count("lost_frames"),
     *number(*SHARES),
 )
+
+JUDGED_COLUMNS = number(*JUDGED)
 
 
 def instrument_row(head: Row, records: list[InstrumentRecord]) -> Row:
@@ -59,7 +61,8 @@ def instrument_row(head: Row, records: list[InstrumentRecord]) -> Row:
     row |= {name: summarise(_by_sequence(records, name)).mean for name in PER_ARM}
     row["lost_frames"] = sum(sum(record.frames.lost) for record in records)
     row |= {name: summarise(_by_sequence(records, name)).mean for name in SHARES}
-    return row
+    judged = {name: summarise(_by_sequence(records, name)).mean for name in JUDGED}
+    return row | {name: mean for name, mean in judged.items() if mean is not None}
 
 
 def _by_sequence(records: list[InstrumentRecord], error: str) -> list[list[FloatArray]]:

@@ -10,6 +10,7 @@ from surgbench.task import Task
 
 if TYPE_CHECKING:
     from surgbench.conformance.subject import Check
+    from surgbench.handeye.table import Judged
     from surgbench.report.column import Column
     from surgbench.report.field import Field
     from surgbench.report.row import Row
@@ -32,7 +33,8 @@ class InstrumentTask(Task):
     summary: ClassVar[str] = "estimate the state of one or two instruments in every frame of a mask sequence"
     default: ClassVar[bool] = True
     made_by: ClassVar[tuple[str, ...]] = tuple(
-        f"{__package__}.{name}" for name in ("auxiliary", "dataset", "execute", "tables", "tips", "units", "worker")
+        f"{__package__}.{name}"
+        for name in ("auxiliary", "dataset", "execute", "judge", "tables", "tips", "units", "worker")
     )
     first_check: ClassVar[str] = "plain sequence"
     may_refuse: ClassVar[tuple[str, ...]] = ("readings", "kinematics", "two arms")
@@ -91,6 +93,13 @@ class InstrumentTask(Task):
         return INSTRUMENT_COLUMNS
 
     @property
+    def further_columns(self) -> tuple[Field, ...]:
+        """What the readings of a recording's arms say."""
+        from surgbench.tasks.instrument.rows import JUDGED_COLUMNS
+
+        return JUDGED_COLUMNS
+
+    @property
     def shown(self) -> tuple[Column, ...]:
         """Errors with their units."""
         from surgbench.tasks.instrument.columns import COLUMNS
@@ -137,6 +146,18 @@ class InstrumentTask(Task):
         videos = plan(records, options, dataset)
         with progress("drawing frames", sum(video.frames for video in videos)) as advance:
             return [path for video in videos for path in draw(video, options, out, advance)]
+
+    def hand_eye(
+        self,
+        records: Sequence[InstrumentRecord],
+        dataset: Path | None,
+        fix_lag: Path | None,
+        progress: Callable[[str, float], Any],
+    ) -> list[Judged]:
+        """Held against the robot's readings of its arms."""
+        from surgbench.tasks.instrument.hand_eye import hand_eye
+
+        return hand_eye(records, dataset, fix_lag, progress)
 
     def checks(self) -> Mapping[str, Check]:
         """Same seed same result, odd masks, missing input, one arm and two."""
