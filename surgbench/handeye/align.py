@@ -9,7 +9,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from surgbench.geometry import FloatArray, rigid_transform, rotation_from_vector
-from surgbench.handeye.fit import NOMINAL, Scales, residuals, robust_cost, robust_fit, spread
+from surgbench.handeye.fit import NOMINAL, Scales, costs, residuals, robust_fit, spread
 from surgbench.handeye.motion import ALIKE_FRAMES, LEAST_FRAMES, TooLittleMotionError
 from surgbench.handeye.stretch import USUAL
 from surgbench.handeye.track import ReadingTrack
@@ -18,7 +18,7 @@ from surgbench.handeye.track import ReadingTrack
 LEAST_SHARE = 0.5
 # The search looks at every other lag and at no more frames than these, spread evenly; then at every lag nearby.
 SEARCH_STEP = 2
-SEARCH_FRAMES = 400
+SEARCH_FRAMES = 300
 # How far from the best whole lag the best one may be: stretched cables pass for as much.
 REFINED_FRAMES = 2.0
 # Scales are taken anew after the first of so many refinements.
@@ -121,11 +121,12 @@ def _search(frames: Frames, max_lag_frames: int) -> int:
 
 def _cost(frames: Frames, lag_frames: int) -> float:
     """What the best transform leaves at a lag; infinite where too few frames have a reading."""
-    known = frames.known(lag_frames)
-    if len(known.times_s) < max(LEAST_SHARE * len(frames.times_s), 2):
+    arm = frames.arm(lag_frames)
+    there = np.isfinite(arm).all(axis=(1, 2))
+    if there.sum() < max(LEAST_SHARE * len(there), 2):
         return float("inf")
-    arm = known.arm(lag_frames)
-    return robust_cost(residuals(robust_fit(known.tracked, arm, NOMINAL), known.tracked, arm), NOMINAL)
+    tracked, arm = frames.tracked[there], arm[there]
+    return float(costs(robust_fit(tracked, arm, NOMINAL), tracked, arm, NOMINAL))
 
 
 def _refine(frames: Frames, start: Alignment, lag_frames: int, scales: Scales) -> Alignment:
@@ -150,7 +151,7 @@ def _refine(frames: Frames, start: Alignment, lag_frames: int, scales: Scales) -
     lower[LAG], upper[LAG] = (lag_frames + side * REFINED_FRAMES - start.lag_frames for side in (-1, 1))
     begin = np.zeros(PARAMETERS)
     begin[LAG] = np.clip(0.0, lower[LAG] + 1e-6, upper[LAG] - 1e-6)
-    solution = least_squares(off, begin, bounds=(lower, upper), loss="cauchy", x_scale=1.0)
+    solution = least_squares(off, begin, bounds=(lower, upper), loss="cauchy", x_scale=1.0, xtol=1e-6, max_nfev=40)
     change = np.asarray(solution.x, dtype=np.float64)
     found = at(change)
     half = INTERVAL_SIGMAS * _lag_deviation(off, change, lower, upper)

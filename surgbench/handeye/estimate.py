@@ -59,7 +59,7 @@ class HandEye:
 
     @property
     def _compared(self) -> NDArray[np.bool_]:
-        return np.isfinite(self.off).all(axis=1)
+        return np.asarray(np.isfinite(self.off).all(axis=1))
 
 
 def estimate_hand_eye(
@@ -73,9 +73,9 @@ def estimate_hand_eye(
     """The one transform and the one lag that most frames agree on.
 
     The model is ``T_cam_wrist(t) = T_cam_base T_base_wrist(t + lag)``, the readings ahead of moving joints by the
-    stretch of their cables (:mod:`surgbench.handeye.stretch`). Lags are searched with a transform that is fitted to each in
-    closed form, against outliers; from the best, all are refined together (Cauchy's loss on residuals in units of
-    their robust spread).
+    stretch of their cables (:mod:`surgbench.handeye.stretch`). Lags are searched with a transform that is fitted to
+    each in closed form, against outliers; from the best, all are refined together (Cauchy's loss on residuals in
+    units of their robust spread).
 
     Args:
         times_s: ``(T,)`` of the frames, increasing.

@@ -9,8 +9,9 @@ import numpy as np
 from surgbench.geometry import FloatArray, inverse_transform, rigid_transform, rotation_vector
 
 # Frames whose own transform is tried as a beginning, and how often weights are taken anew from there.
-STARTS = 12
-ROUNDS = 15
+STARTS = 8
+ROUNDS = 10
+HALF_TURN = np.diag([-1.0, -1.0, 1.0, 1.0])
 # Median absolute deviation of a Gaussian, to its standard deviation.
 MAD_SIGMAS = 1.4826
 # Finer than any tracker; below it rounding would count.
@@ -85,9 +86,9 @@ def closed_form(tracked: FloatArray, arm: FloatArray, weights: FloatArray) -> Fl
     return rigid_transform(rotation, middle_cam - rotation @ middle_base)
 
 
-def robust_cost(off: FloatArray, scales: Scales) -> float:
-    """Mean over frames of what residuals ``(n, 6)`` cost: ``log(1 + (angle/s_r)²) + log(1 + (distance/s_t)²)``."""
-    return float(np.log1p(_relative(off, scales) ** 2).sum(axis=1).mean())
+def costs(transforms: FloatArray, tracked: FloatArray, arm: FloatArray, scales: Scales) -> FloatArray:
+    """What transforms ``(..., 4, 4)`` leave, ``(...)``, mean ``log(1 + (angle/s_r)²) + log(1 + (distance/s_t)²)``."""
+    return np.asarray(np.log1p(_relative_squares(transforms, tracked, arm, scales)).sum(axis=-1).mean(axis=-1))
 
 
 def robust_fit(tracked: FloatArray, arm: FloatArray, scales: Scales) -> FloatArray:
@@ -104,14 +105,13 @@ def robust_fit(tracked: FloatArray, arm: FloatArray, scales: Scales) -> FloatArr
         ``(4, 4)`` T_cam_base.
     """
     some = np.unique(np.linspace(0, len(arm) - 1, STARTS).round().astype(int))
-    own = tracked[some] @ inverse_transform(arm[some])
-    half_turn = np.diag([-1.0, -1.0, 1.0, 1.0])
-    starts = [*own, *(tracked[some] @ half_turn @ inverse_transform(arm[some]))]
-    transform = min(starts, key=lambda start: robust_cost(residuals(start, tracked, arm), scales))
+    back = inverse_transform(arm[some])
+    starts = np.concatenate([tracked[some] @ back, tracked[some] @ HALF_TURN @ back])
+    transform = starts[np.argmin(costs(starts, tracked, arm, scales))]
     for _ in range(ROUNDS):
-        weights = 1.0 / (1.0 + _relative(residuals(transform, tracked, arm), scales) ** 2)
+        weights = 1.0 / (1.0 + _relative_squares(transform, tracked, arm, scales))
         right = tracked.copy()
-        right[:, :3, :3] = nearer_twin(tracked[:, :3, :3], (transform @ arm)[:, :3, :3])
+        right[:, :3, :3] = nearer_twin(tracked[:, :3, :3], transform[:3, :3] @ arm[:, :3, :3])
         transform = closed_form(right, arm, weights / np.square(scales))
     return np.asarray(transform)
 
@@ -125,6 +125,11 @@ def spread(off: FloatArray) -> Scales:
     )
 
 
-def _relative(off: FloatArray, scales: Scales) -> FloatArray:
-    """``(n, 2)`` angles and distances as multiples of their scales."""
-    return np.stack([np.linalg.norm(off[:, :3], axis=1), np.linalg.norm(off[:, 3:], axis=1)], axis=1) / scales
+def _relative_squares(transforms: FloatArray, tracked: FloatArray, arm: FloatArray, scales: Scales) -> FloatArray:
+    """``(..., n, 2)`` squared angles (by their chord) and distances of the nearer twin, in units of their scales."""
+    expected = transforms[..., None, :3, :] @ arm
+    along = (expected[..., :3] * tracked[:, :3, :3]).sum(axis=-2)
+    # The trace of the rotation between the two, that of the nearer twin; of small angles 3 - trace is the square.
+    trace = np.abs(along[..., 0] + along[..., 1]) + along[..., 2]
+    squares = np.stack([3.0 - trace, ((expected[..., 3] - tracked[:, :3, 3]) ** 2).sum(axis=-1)], axis=-1)
+    return np.asarray(np.maximum(squares, 0.0) / np.square(scales))
