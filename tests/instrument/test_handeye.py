@@ -9,7 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from commandline import records, surgbench
+from commandline import AMPLE_S, records, surgbench
+from fabricate import record, write
 
 from surgbench.camera import Camera
 from surgbench.dataset import tables
@@ -30,6 +31,7 @@ from surgbench.instrument import load_instrument, save_instrument
 from surgbench.instrument.arm import CLASSIC_400006
 from surgbench.tasks.instrument.dataset import InstrumentDataset
 from surgbench.tasks.instrument.format import Arm, InstrumentManifest, SequenceEntry, observed_path
+from surgbench.tasks.instrument.judge import judged_columns
 from surgbench.tasks.instrument.records import JUDGED
 from surgbench.tasks.instrument.tables import KINEMATICS_COLUMNS, READING_COLUMNS, arm_columns
 
@@ -37,36 +39,27 @@ FRAMES, DT_S, LAG = 150, 1 / 30, 4
 ARM: Arm = "left"
 CAMERA = Camera(width=16, height=12, fx=20.0, fy=20.0, cx=8.0, cy=6.0)
 T_CAM_BASE = rigid_transform(rotation_from_vector(np.array([2.9, 0.3, 0.2])), np.array([0.0, 0.02, 0.0]))
-# Answers what lies beside it in a file; the second is given, and reads, where the robot says that its arm is.
+# Answers what lies beside it in a file; the other is given, and reads, where the robot says that its arm is.
 TRACKERS = """
 from pathlib import Path
 import numpy as np
 
 class Good:
     name = "good"
-    noise = 0.0005
 
     def reset(self, scene, state, rng):
         self.states, self.rng = np.load(Path(__file__).with_name("states.npy")), rng
 
     def step(self, observation):
         state = self.states[observation.index].copy()
-        state[3:6] += self.noise * self.rng.standard_normal(3)
+        state[3:6] += 0.0005 * self.rng.standard_normal(3)
         return state
-
-class Poor(Good):
-    name = "poor"
-    noise = 0.003
 """
 CHEAT = (
-    TRACKERS
+    TRACKERS.replace("Good", "Cheat").replace("good", "cheat")
     + """
-class Cheat(Good):
-    name = "cheat"
-
-    def step(self, observation):
-        assert observation.kinematics is not None
-        return super().step(observation)
+    def unused(self, observation):
+        return observation.kinematics
 """
 )
 
@@ -113,8 +106,6 @@ def make_recording(folder: Path, *, moves: float = 1.0, kinematics: bool = True)
     seen = T_CAM_BASE @ poses(frame, moves)
     states = np.hstack([look_at_angles(seen[:, :3, :3]), seen[:, :3, 3], np.zeros((FRAMES, 3))])
     np.save(folder.with_name("states.npy"), states)
-    folder.with_name("trackers.py").write_text(TRACKERS)
-    folder.with_name("cheat.py").write_text(CHEAT)
     return folder
 
 
@@ -123,21 +114,30 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return make_recording(tmp_path_factory.mktemp("data") / "theatre")
 
 
-def run(dataset: Path, out: Path, *trackers: str, joints: bool = False) -> Path:
-    asked = [part for name in trackers for part in ("--tracker", str(dataset.with_name(name)))]
-    more = ["--joints"] if joints else []
-    surgbench(
-        "run", "--dataset", dataset, *asked, *more, "--initialiser", "random", "--keypoints", "none", "--out", out
-    )
+def recorded(dataset: Path, out: Path, **noise_m: float) -> Path:
+    """Records of trackers that are off by so much, as the suite writes them."""
+    opened = open_as(InstrumentDataset, dataset)
+    truth = np.load(dataset.with_name("states.npy"))
+    for index, (name, size) in enumerate(noise_m.items()):
+        rng = np.random.default_rng(index)
+        states = truth.copy()
+        states[:, 3:6] += size * rng.standard_normal((FRAMES, 3))
+        content = record(name, "000", frames=FRAMES, truth=False, dataset=("theatre", opened.hash))
+        content["spec"] |= {"arms": [ARM], "mask_kind": ARM, "tracker": {"name": name, "options": {}, "source": ""}}
+        content["frames"]["state"] = content["frames"]["start"] = states.tolist()
+        content["errors"]["jitter"] = [0.5]
+        content["errors"] |= judged_columns(
+            opened.sequences[0], (ARM,), states[:, None], np.ones(FRAMES, dtype=bool), "none", {}
+        )
+        write(out, content | {"dataset_path": str(dataset), "settings_hash": f"{index}" * 16})
     return out
 
 
 @pytest.fixture(scope="module")
 def runs(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return run(recording, tmp_path_factory.mktemp("runs"), "trackers.py:Good", "trackers.py:Poor")
+    return recorded(recording, tmp_path_factory.mktemp("runs"), good=0.0005, poor=0.003)
 
 
-@pytest.mark.slow
 def test_the_leaderboard_has_what_the_arm_says(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
     surgbench("report", runs, "--format", "csv")
     good, poor = sorted(csv.DictReader(io.StringIO(capsys.readouterr().out)), key=lambda row: row["tracker"])
@@ -151,7 +151,6 @@ def test_the_leaderboard_has_what_the_arm_says(runs: Path, capsys: pytest.Captur
     assert "hand-eye translation [mm]" in capsys.readouterr().out
 
 
-@pytest.mark.slow
 def test_the_command_shows_lag_and_hand_eye(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
     surgbench("handeye", runs, "--format", "json", "--row", "good")
     (row,) = json.loads(capsys.readouterr().out)
@@ -170,7 +169,6 @@ def test_the_command_shows_lag_and_hand_eye(runs: Path, capsys: pytest.CaptureFi
     assert "readings are late" in shown
 
 
-@pytest.mark.slow
 def test_readings_are_set_right(
     recording: Path, runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -201,7 +199,12 @@ def test_a_run_that_was_given_the_answer_is_not_judged(
     recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """It is told by the code of the tracker: one that reads no kinematics is judged with joint readings too."""
-    out = run(recording, tmp_path / "runs", "cheat.py:Cheat", "trackers.py:Good", joints=True)
+    out, path = tmp_path / "runs", recording.with_name("trackers.py")
+    path.write_text(TRACKERS)
+    recording.with_name("cheat.py").write_text(CHEAT)
+    trackers = ("--tracker", f"{path}:Good", "--tracker", f"{recording.with_name('cheat.py')}:Cheat")
+    how = ("--joints", "--initialiser", "random", "--keypoints", "none", "--timeout", AMPLE_S, "--jobs", 1)
+    surgbench("run", "--dataset", recording, *trackers, *how, "--out", out)
     cheat, good = (
         next(one for one in records(out) if one["spec"]["tracker"]["name"] == name) for name in ("cheat", "good")
     )
@@ -212,7 +215,6 @@ def test_a_run_that_was_given_the_answer_is_not_judged(
     assert "was given the arm's readings, by which it can't be judged" in capsys.readouterr().err
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("how", "says"),
     [
@@ -224,10 +226,9 @@ def test_what_cannot_judge_says_so_in_one_line(
     how: dict[str, float], says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     dataset = make_recording(tmp_path / "theatre", **how)  # type: ignore[arg-type]
-    out = run(dataset, tmp_path / "runs", "trackers.py:Good")
-    (record,) = records(out)
-    assert [record["errors"].get(name) for name in JUDGED] in ([None] * 3, [[None]] * 3)
-    capsys.readouterr()
+    out = recorded(dataset, tmp_path / "runs", good=0.0005)
+    (written,) = records(out)
+    assert [written["errors"].get(name) for name in JUDGED] in ([None] * 3, [[None]] * 3)
     surgbench("handeye", out, expect=2)
     said = capsys.readouterr().err.strip().splitlines()
     assert says in said[-1]
