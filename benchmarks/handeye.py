@@ -1,4 +1,4 @@
-"""What `surgbench handeye` is worth: held against the truth of synthetic arms, and forward kinematics against a robot's.
+"""What `surgbench handeye` is worth against the truth of synthetic arms; our forward kinematics against a robot's.
 
     surgbench generate paper-rcm --sequences 2 --frames 300 --out data/rcm
     surgbench run --dataset data/rcm --suite SUITE.yaml --out runs/rcm       (rows of table1 that get no kinematics)
@@ -9,11 +9,11 @@ Prints Markdown. Of a dataset with truth and of runs on it:
 
 - injected lags: `--count` runs of the row `--row`, its units in turn, with the readings of the arm moved by lags drawn
   evenly from -10 to 10 frames. A tracker does not see these readings, so that each run serves many times. Printed are
-  the errors of the lag, how often its interval holds the truth, and how far the hand-eye transform is from the truth, as
-  a rotation and at the tool's mean position. The truth is the one constant transform that takes the readings, as
-  generated and at their own time, to the true poses, in the sense of most frames (`robust_fit`): what is constant in the
-  readings' errors, a bias of an encoder or the mean stretch of a cable, is no tracker's fault and cannot be told from
-  the calibration;
+  the errors of the lag, how often its interval holds the truth, and how far the hand-eye transform is from the truth,
+  as a rotation and at the tool's mean position. The truth is the one constant transform that takes the readings, as
+  generated and at their own time, to the true poses, in the sense of most frames (`robust_fit`): what is constant in
+  the readings' errors, a bias of an encoder or the mean stretch of a cable, is no tracker's fault and cannot be told
+  from the calibration;
 - the ranking: of each row the mean over units of the median residuals, the mean over units of the true errors, and
   Spearman's rank correlation of the two. Rows that were given the arm's readings are left out.
 
