@@ -14,7 +14,7 @@ from surgbench.dataset.open import open_dataset
 from surgbench.dataset.storage import check_new, storage_error
 from surgbench.errors import DatasetError
 from surgbench.records.format import Record
-from surgbench.records.reader import read_record, read_records
+from surgbench.records.reader import read_runs
 
 
 @dataclass(frozen=True)
@@ -76,15 +76,9 @@ def read_material(source: Path, moved: Path | None = None) -> Material:
         if moved is not None:
             raise DatasetError(f"{source}: is a dataset; --dataset says where that of runs is")
         return Material(open_dataset(source))
-    if source.is_file():
-        record = read_record(source)
-        if record is None:
-            raise DatasetError(f"{source}: no record; expected one, a folder of them, or a dataset's folder")
-        records = [record]
-    elif source.is_dir():
-        records = read_records([source])
-    else:
+    if not source.exists():
         raise DatasetError(f"{source}: no such file or folder; expected a dataset, a record, or a folder of records")
+    records = read_runs([source])
     told = tuple(record for record in records if record.frames.index)
     silent = [record for record in records if not record.frames.index]
     left_out = tuple(f"{record.spec.row_id} {record.spec.unit}: {record.status}: {record.error}" for record in silent)

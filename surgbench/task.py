@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from surgbench.conformance.subject import Check
     from surgbench.dataset.base import Dataset
     from surgbench.dataset.manifest import Manifest
+    from surgbench.handeye.table import Judged
     from surgbench.records.format import Record
     from surgbench.report.column import Column
     from surgbench.report.field import Field
@@ -230,6 +231,26 @@ class Task(ABC):
             The files written.
         """
         raise SurgbenchError(f"runs of the {self.name} task have no video")
+
+    def hand_eye(
+        self,
+        records: Sequence[Any],
+        dataset: Path | None,
+        fix_lag: Path | None,
+        progress: Callable[[str, float], Any],
+    ) -> list[Judged]:
+        """Hold estimates against a robot's readings of its arms, where there is no truth.
+
+        Args:
+            records: Of this task.
+            dataset: Where their dataset is; where each record says, unless told.
+            fix_lag: Folder to write the dataset to with its readings where they belong.
+            progress: Takes a description and how much there is to do; gives what takes the part just done.
+
+        Returns:
+            One entry for each run and arm.
+        """
+        raise SurgbenchError(f"runs of the {self.name} task have no readings of arms to be judged by")
 
     # conformance
 

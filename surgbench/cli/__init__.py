@@ -17,6 +17,7 @@ from surgbench.cli.bench import bench_app
 from surgbench.cli.check import tracker
 from surgbench.cli.export import export
 from surgbench.cli.generate import generate
+from surgbench.cli.handeye import handeye
 from surgbench.cli.import_ import import_app
 from surgbench.cli.list_ import list_names
 from surgbench.cli.options import field_options, with_options
@@ -108,6 +109,7 @@ app.command("video")(video)
 app.command("export")(export)
 app.command("score")(score)
 app.command("track")(with_options(track, {}, "options"))  # likewise
+app.command("handeye")(handeye)
 app.command("list")(list_names)
 check_app.command("tracker")(tracker)
 app.add_typer(check_app, name="check")

@@ -8,7 +8,7 @@ import typer
 
 from surgbench.kinds import KINDS
 
-FILES = ("presets", "suites", "tables", "training", "instruments")
+FILES = ("presets", "suites", "tables", "training", "instruments", "arms")
 
 
 def list_names(

@@ -16,14 +16,18 @@ def file_entry(data: bytes) -> FileEntry:
     return FileEntry(bytes=len(data), sha256=hashlib.sha256(data).hexdigest())
 
 
-def check_new(out: Path) -> None:
-    """See that nothing lies where a dataset is to be made; what the system leaves does not count.
+def check_new(out: Path, option: str = "--out") -> None:
+    """See that nothing lies where something is to be made; what the system leaves does not count.
+
+    Args:
+        out: The folder.
+        option: That named it, for the message.
 
     Raises:
         DatasetError: Something does.
     """
     if out.exists() and (not out.is_dir() or any(without_leftovers(out.iterdir()))):
-        raise DatasetError(f"{out}: holds something already; --out needs a new or empty folder")
+        raise DatasetError(f"{out}: holds something already; {option} needs a new or empty folder")
 
 
 def storage_error(error: OSError, folder: Path, advice: str) -> SurgbenchError:

@@ -126,6 +126,25 @@ def read_records(directories: Iterable[Path]) -> list[Record]:
     return sorted(chosen.values(), key=lambda r: (r.spec.row_id, r.spec.unit, r.spec.repeat, r.spec_hash))
 
 
+def read_runs(places: Iterable[Path]) -> list[Record]:
+    """The records of files and of all below folders, each run once; see :func:`read_records`.
+
+    Raises:
+        DatasetError: As there, or a file is no record.
+    """
+    folders, records = [], []
+    for place in places:
+        if place.is_file():
+            record = read_record(place)
+            if record is None:
+                raise DatasetError(f"{place}: not a record (*.json with format {RECORD_FORMAT})")
+            records.append(record)
+        else:
+            folders.append(place)
+    records += read_records(folders)
+    return list({record.spec_hash: record for record in records}.values())
+
+
 def read_records_of(kind: type[R], directories: Iterable[Path]) -> list[R]:
     """All records below some folders, which have to be of one task; see :func:`read_records`.
 

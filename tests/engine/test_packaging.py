@@ -44,7 +44,7 @@ def test_tested_package_is_the_installed_one() -> None:
 def test_data_files_are_found() -> None:
     from surgbench.config import packaged_names
 
-    for folder in ("instruments", "presets", "published", "suites", "tables", "training"):
+    for folder in ("arms", "instruments", "presets", "published", "suites", "tables", "training"):
         assert packaged_names(folder)
 
 

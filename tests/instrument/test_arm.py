@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from surgbench.errors import ConfigError, NotFoundError
 from surgbench.geometry import FloatArray
 from surgbench.instrument.arm import CLASSIC_400006, CLASSIC_420006, Manipulator
+from surgbench.instrument.arms import load_arm
 
 # A ProGrasp 420093 on a Classic arm: the wrist's two joints after frame 4, and the robot's orientation of the tool tip.
 WRIST_LENGTH_M = 0.0107
@@ -97,3 +101,55 @@ def test_stacks_of_joints_and_limits() -> None:
     assert CLASSIC_400006.depth_m(0.0) == pytest.approx(-0.0156)
     drawn_out = np.array([0.3, 0.2, 0.0, 1.0])
     np.testing.assert_allclose(CLASSIC_400006.inverse(CLASSIC_400006.forward(drawn_out)), drawn_out, atol=1e-12)
+
+
+@pytest.mark.parametrize(("name", "arm"), [("classic_400006", CLASSIC_400006), ("classic_420006", CLASSIC_420006)])
+def test_arms_of_a_file_are_those_with_a_closed_form(name: str, arm: Manipulator) -> None:
+    told = load_arm(name)
+    joints = np.array([[0.1, -0.2, 0.15, 0.3], [-1.2, 0.8, 0.05, -2.0]])
+    # Offsets in the robot's own files are rounded to the fourth decimal of a radian.
+    np.testing.assert_allclose(told.forward(joints), arm.forward(joints), atol=1e-5)
+    assert told.wrist_joints == 4
+    limits = np.array([joint.limits for joint in told.joints[:4]])
+    np.testing.assert_array_equal(limits, np.stack([arm.lower, arm.upper], axis=1))
+    assert told.within_limits(np.array([[0.1, -0.2, 0.15, 0.3], [1.6, 0, 0.1, 0]])).tolist() == [True, False]
+
+
+def test_a_files_whole_chain_ends_where_the_robot_says() -> None:
+    bent = np.array([0.1, -0.2, 0.15, 0.3, -0.4, 0.5])
+    told = load_arm("classic_420006").forward_tip(bent)
+    expected = tool(bent.tolist())
+    np.testing.assert_allclose(told[:3, :3], expected[:3, :3], atol=2e-5)
+    # That one has a wrist of 10.7 mm, the needle driver one of 9.1 mm.
+    assert np.linalg.norm(told[:3, 3] - expected[:3, 3]) == pytest.approx(WRIST_LENGTH_M - 0.0091, abs=1e-5)
+
+
+def test_the_si_is_as_deep_as_the_classic() -> None:
+    """Its insertion begins higher by as much as its instruments are longer."""
+    joints = np.array([0.2, 0.1, 0.12, 0.4])
+    classic, si, mixed = (load_arm(name).forward(joints) for name in ("classic_400006", "si_420006", "classic_420006"))
+    np.testing.assert_allclose(si, classic, atol=1e-12)
+    assert np.linalg.norm(mixed[:3, 3] - classic[:3, 3]) == pytest.approx(0.4670 - 0.4162)
+
+
+def test_an_arm_of_another_make(tmp_path: Path) -> None:
+    """Two joints in a plane, as everybody has met them."""
+    path = tmp_path / "planar.yaml"
+    joints = "[{name: a, kind: revolute, limits: [-3, 3]}, {name: b, kind: revolute, a_m: 0.3, limits: [-3, 3]},"
+    joints += " {name: c, kind: prismatic, a_m: 0.2, limits: [0, 1]}]"
+    path.write_text(f"format: surgbench-arm-1\nname: planar\ntitle: two links\nwrist: c\njoints: {joints}\n")
+    pose = load_arm(path).forward(np.array([0.4, 0.5, 0.1]))
+    np.testing.assert_allclose(
+        pose[:3, 3], [0.3 * np.cos(0.4) + 0.2 * np.cos(0.9), 0.3 * np.sin(0.4) + 0.2 * np.sin(0.9), 0.1]
+    )
+    assert np.isnan(load_arm(path).forward(np.array([0.4, np.nan, 0.1]))[0, 3])
+    for spoilt, says in (
+        (path.read_text().replace("wrist: c", "wrist: d"), "wrist 'd' is none of the joints"),
+        (path.read_text().replace("limits: [0, 1]", "limits: [1, 0]"), "limits of 'c' must be"),
+        (path.read_text().replace("prismatic,", "prismatic, d_m: 1,"), "'c' is prismatic"),
+    ):
+        path.with_name("spoilt.yaml").write_text(spoilt)
+        with pytest.raises(ConfigError, match=says):
+            load_arm(path.with_name("spoilt.yaml"))
+    with pytest.raises(NotFoundError, match="did you mean 'classic_400006'"):
+        load_arm("clasic_400006")

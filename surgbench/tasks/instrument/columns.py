@@ -23,6 +23,13 @@ READ_JOINTS = tuple(
 )
 ABSENT_FRAMES = Column("absent_frames", "without instrument", short="without\ninstr.")
 
+# Against the robot's readings, of recordings without truth.
+HAND_EYE = (
+    Column("handeye_rotation_rad", "hand-eye rotation", "rad", 3, short="arm\nrad", best=True),
+    Column("handeye_translation_m", "hand-eye translation", "mm", 2, 1000.0, short="arm\nmm", best=True),
+    Column("lag_frames", "lag of readings", "frames", 1, short="lag\nframes", from_width=100),
+)
+
 COLUMNS = (
     ROW,
     VARIANT,
@@ -30,6 +37,7 @@ COLUMNS = (
     Column("coverage", "done", "%", 0, 100.0, short="done\n%"),
     MASK,
     TRUE_MASK,
+    *HAND_EYE,
     ROTATION,
     TRANSLATION,
     TIPS,

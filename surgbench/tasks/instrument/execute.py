@@ -17,6 +17,7 @@ from surgbench.state import POSITION, STATE_SIZE
 from surgbench.suite.running import Run
 from surgbench.suite.settings import Job, Plug
 from surgbench.tasks.instrument.dataset import InstrumentDataset, InstrumentUnit
+from surgbench.tasks.instrument.judge import frames_that_count, judged_columns
 from surgbench.tasks.instrument.plan import InstrumentSettings
 from surgbench.tasks.instrument.records import ANSWER_COLUMNS, SHARES
 from surgbench.tasks.instrument.references import absent_from_masks, reference_errors
@@ -120,7 +121,7 @@ def execute(job: Job, dataset: InstrumentDataset, run: Run, *, waits: bool = Tru
         "traceback": trace,
         "initialise_s": initialise_s,
         "frames": _frames(answers),
-        "errors": _errors(data, answers, mask_errors),
+        "errors": _errors(data, answers, mask_errors) | _judged(settings, data, answers, mask_errors),
     }
 
 
@@ -215,6 +216,18 @@ def _errors(
     errors["start_lag_ms"] = _lags(starts, data)
     errors["jitter"] = _finite(np.array([metrics.jitter(arm, data.sequence.dt_s) for arm in tips]))
     return errors
+
+
+def _judged(
+    settings: InstrumentSettings,
+    data: UnitData,
+    answers: list[Answer],
+    mask_errors: list[tuple[float | None, float | None]],
+) -> dict[str, list[float | None]]:
+    """What a recording without truth has instead; see :func:`surgbench.tasks.instrument.judge.judged_columns`."""
+    states = np.array([answer.state for answer in answers]).reshape(len(answers), len(data.unit.arms), STATE_SIZE)
+    counts = frames_that_count((answer.lost for answer in answers), (seen for seen, _ in mask_errors))
+    return judged_columns(data.sequence, data.unit.arms, states, counts, settings.readings, settings.references)
 
 
 def out_of_view(data: UnitData, frames: int) -> NDArray[np.bool_]:

@@ -13,6 +13,8 @@ from surgbench.records.format import Frames, Number, Plug, Record, RecordSpec
 
 # Errors that have one value for all frames together.
 PER_ARM = ("translation_error_scaled_m", "jitter", "lag_ms", "start_lag_ms", "frames_to_recover")
+# The same of recordings without truth, held against the robot's readings of its arms (docs/handeye.md).
+JUDGED = ("handeye_rotation_rad", "handeye_translation_m", "lag_frames")
 # Values between 0 and 1 of which a mean is a share, and has no spread: of frames, or of components of the state.
 LOST_SHARES = ("lost_precision", "lost_recall")
 SHARES = (*LOST_SHARES, *INTERVAL_COVERAGES)
@@ -69,13 +71,18 @@ class InstrumentFrames(Frames):
 
 
 class InstrumentRecord(Record):
-    """One run of an instrument tracker."""
+    """One run of an instrument tracker.
 
-    whole: ClassVar[tuple[str, ...]] = PER_ARM
+    Attributes:
+        references: By what each plug-in was asked for, by kind.
+    """
+
+    whole: ClassVar[tuple[str, ...]] = (*PER_ARM, *JUDGED)
     error_names: ClassVar[tuple[str, ...]] = (
-        *(*POSE_ERRORS, "mask_error", "mask_error_true", *PER_ARM, *SHARES),
+        *(*POSE_ERRORS, "mask_error", "mask_error_true", *PER_ARM, *JUDGED, *SHARES),
         *(*REFERENCE_ERRORS, ABSENT),
     )
 
     spec: InstrumentRecordSpec
     frames: InstrumentFrames
+    references: dict[str, str] = {}

@@ -7,7 +7,7 @@ from surgbench.metrics import POSE_ERRORS
 from surgbench.report.field import count, flag, number, text
 from surgbench.report.row import COMMON_COLUMNS, Row, median, pooled
 from surgbench.report.summary import summarise
-from surgbench.tasks.instrument.records import ABSENT, PER_ARM, REFERENCE_ERRORS, SHARES, InstrumentRecord
+from surgbench.tasks.instrument.records import ABSENT, JUDGED, PER_ARM, REFERENCE_ERRORS, SHARES, InstrumentRecord
 
 SETTING_COLUMNS = (
     *text("arms"),
@@ -30,6 +30,8 @@ RECORDING_COLUMNS = (
     *count("absent_frames"),
     *number(*(f"{error}{suffix}" for error in REFERENCE_ERRORS for suffix in ("", "_std", "_sem"))),
 )
+
+JUDGED_COLUMNS = number(*JUDGED)
 
 
 def instrument_row(head: Row, records: list[InstrumentRecord]) -> Row:
@@ -66,7 +68,8 @@ def instrument_row(head: Row, records: list[InstrumentRecord]) -> Row:
     row |= {name: summarise(_by_sequence(records, name)).mean for name in SHARES}
     if any(ABSENT in record.errors for record in records):
         row |= _recording_columns(records)
-    return row
+    judged = {name: summarise(_by_sequence(records, name)).mean for name in JUDGED}
+    return row | {name: mean for name, mean in judged.items() if mean is not None}
 
 
 def _recording_columns(records: list[InstrumentRecord]) -> Row:

@@ -10,6 +10,7 @@ from surgbench.task import Task
 
 if TYPE_CHECKING:
     from surgbench.conformance.subject import Check
+    from surgbench.handeye.table import Judged
     from surgbench.report.column import Column
     from surgbench.report.field import Field
     from surgbench.report.row import Row
@@ -34,7 +35,7 @@ class InstrumentTask(Task):
     default: ClassVar[bool] = True
     made_by: ClassVar[tuple[str, ...]] = tuple(
         f"{__package__}.{name}"
-        for name in ("auxiliary", "dataset", "execute", "references", "tables", "tips", "units", "worker")
+        for name in ("auxiliary", "dataset", "execute", "judge", "references", "tables", "tips", "units", "worker")
     )
     first_check: ClassVar[str] = "plain sequence"
     may_refuse: ClassVar[tuple[str, ...]] = ("readings", "kinematics", "two arms")
@@ -100,10 +101,10 @@ class InstrumentTask(Task):
 
     @property
     def further_columns(self) -> tuple[Field, ...]:
-        """What recordings have in place of truth."""
-        from surgbench.tasks.instrument.rows import RECORDING_COLUMNS
+        """What recordings have in place of truth, and what the readings of their arms say."""
+        from surgbench.tasks.instrument.rows import JUDGED_COLUMNS, RECORDING_COLUMNS
 
-        return RECORDING_COLUMNS
+        return (*RECORDING_COLUMNS, *JUDGED_COLUMNS)
 
     @property
     def shown(self) -> tuple[Column, ...]:
@@ -152,6 +153,18 @@ class InstrumentTask(Task):
         videos = plan(records, options, dataset)
         with progress("drawing frames", sum(video.frames for video in videos)) as advance:
             return [path for video in videos for path in draw(video, options, out, advance)]
+
+    def hand_eye(
+        self,
+        records: Sequence[InstrumentRecord],
+        dataset: Path | None,
+        fix_lag: Path | None,
+        progress: Callable[[str, float], Any],
+    ) -> list[Judged]:
+        """Held against the robot's readings of its arms."""
+        from surgbench.tasks.instrument.hand_eye import hand_eye
+
+        return hand_eye(records, dataset, fix_lag, progress)
 
     def checks(self) -> Mapping[str, Check]:
         """Same seed same result, odd masks, missing input, one arm and two."""

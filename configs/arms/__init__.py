@@ -1,0 +1,1 @@
+"""Arms that hold instruments: their kinematics as data."""
