@@ -113,14 +113,14 @@ class RecordingWriter:
         for arm in self._arms:
             if recording.tips is not None:
                 tips = recording.tips[arm][part]
-                tips = _undistort_points(tips, recording.camera) if is_distorted(recording.camera) else tips
+                tips = undistort_points(tips, recording.camera) if is_distorted(recording.camera) else tips
                 columns |= dict(zip(arm_columns(arm, KEYPOINT_COLUMNS), tips.reshape(-1, 4).T, strict=True))
             if recording.joints is not None:
                 columns |= dict(zip(arm_columns(arm, READING_COLUMNS), recording.joints[arm][part].T, strict=True))
         return columns
 
 
-def _undistort_points(points: FloatArray, camera: Camera) -> FloatArray:
+def undistort_points(points: FloatArray, camera: Camera) -> FloatArray:
     """Where ``(..., 2)`` pixels lie in the undistorted image; NaN outside of it and where they are NaN already."""
     flat = points.reshape(-1, 1, 2)
     moved = np.asarray(
