@@ -78,6 +78,24 @@ class MaskVideo:
         return f"{self.place}: is {width}x{height} pixels; camera.json says {self._size[0]}x{self._size[1]}"
 
 
+def video_size(path: Path) -> tuple[int, int]:
+    """Width and height of a video's frames on the sensor's grid.
+
+    Raises:
+        DatasetError: It is missing or no video; one line.
+    """
+    if not path.is_file():
+        raise DatasetError(f"{path}: missing")
+    capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
+    try:
+        if not capture.isOpened():
+            raise DatasetError(f"{path}: not a video that can be decoded, or truncated")
+        capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)
+        return int(capture.get(cv2.CAP_PROP_FRAME_WIDTH)), int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT))
+    finally:
+        capture.release()
+
+
 def _regular(times_s: FloatArray, rate: float) -> FloatArray | None:
     """Times since the first frame, even where the file's ticks tell no more; ``None`` where it tells none."""
     if not (np.isfinite(rate) and rate > 0):
