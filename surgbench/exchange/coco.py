@@ -2,24 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
 from pydantic import Field
 
-from surgbench.contract import Mask, Plugin
+from surgbench.contract import Plugin
 from surgbench.errors import ConfigError, DatasetError
-from surgbench.exchange.footage_options import Arms, NamedOptions
+from surgbench.exchange.coco_arms import ArmOptions, ObjectArms
+from surgbench.exchange.footage_options import NamedOptions
 from surgbench.exchange.masks import check_fps
 from surgbench.geometry import FloatArray
 from surgbench.pictures import as_rgb
 from surgbench.recordings.coco_dataset import (
-    TRACK_KEYS,
     CocoDataset,
     CocoImage,
-    by_name_or_id,
     find_coco,
     read_coco,
 )
@@ -27,12 +26,8 @@ from surgbench.recordings.endovis import label_name
 from surgbench.recordings.files import read_picture
 from surgbench.recordings.names import time_of_frames
 from surgbench.tasks.instrument.footage import Footage, Shot
-from surgbench.tasks.instrument.format import ARMS, Arm, MaskKind
+from surgbench.tasks.instrument.format import Arm
 from surgbench.tasks.instrument.imported import write_import
-from surgbench.tasks.instrument.recorded import BOTH
-
-# What surgbench's own export says of an object.
-ARM_KEY = "arm"
 
 
 class CocoImporter(Plugin):
@@ -41,10 +36,10 @@ class CocoImporter(Plugin):
     name: ClassVar[str] = "coco"
     summary: ClassVar[str] = "COCO: annotations.json (polygons or RLE, keypoints), pictures, camera.json"
     examples: ClassVar[tuple[str, ...]] = (
-        "surgbench import coco annotations.json --camera camera.json --categories driver=left,scissors=right --out data",
+        "surgbench import coco annotations.json --camera camera.json --categories driver=left,scissors=right --out d",
     )
 
-    class Config(NamedOptions):
+    class Config(NamedOptions, ArmOptions):
         """Options."""
 
         fps: Annotated[
@@ -54,25 +49,9 @@ class CocoImporter(Plugin):
             Path | None, Field(description="FOLDER that file_name begins in; default: that of the file, or above it.")
         ] = None
         without_images: Annotated[bool, Field(description="Leave pictures out.")] = False
-        categories: Annotated[
-            str | None, Field(description="NAMES or ids of each arm's categories, as driver=left,2=right.")
-        ] = None
-        tracks: Annotated[
-            str | None, Field(description="NUMBERS (track_id, instance_id) of each arm's object, as 1=left,2=right.")
-        ] = None
-        pieces: Annotated[
-            bool, Field(description="Several objects of one arm in an image are pieces of one instrument.")
-        ] = False
         tips: Annotated[
             str | None, Field(description="NAMES of the two keypoints that are tips; default: those called tip.")
         ] = None
-        arm: Annotated[
-            Arms,
-            Field(
-                description="Which arm the only object is; both: all objects are one mask of two; default: left.",
-                json_schema_extra={"option": "arms", "also": "arm"},
-            ),
-        ] = "left"
 
     def __init__(self, config: Config | None = None) -> None:
         self.config = config or self.Config()
@@ -87,7 +66,7 @@ class CocoImporter(Plugin):
         config, lines = self.config, list[str]()
         check_fps(config.fps)
         dataset = read_coco(find_coco(source))
-        kind_of = _Kinds(dataset, config)
+        kind_of = ObjectArms(dataset, config)
         tips = self._tips(dataset)
         if dataset.labels and tips is None:
             lines.append(
@@ -104,14 +83,14 @@ class CocoImporter(Plugin):
             configuration=config.configuration(self.name),
             progress=progress,
         )
-        return [*lines, *kind_of.lines, *said]
+        return [*lines, *said]
 
     def _footage(
         self,
         dataset: CocoDataset,
         name: str,
         images: list[CocoImage],
-        kind_of: _Kinds,
+        kind_of: ObjectArms,
         tips: tuple[str, str] | None,
         lines: list[str],
     ) -> Footage:
@@ -124,7 +103,8 @@ class CocoImporter(Plugin):
         timing = time_of_frames([image.number for image in images], dataset.path, "auto", config.fps)
         if timing.said is not None:
             lines.append(f"{name}: {timing.said}")
-        labels = _labels(dataset, images, kind_of)
+        labels = kind_of.points(images, hidden=True)
+        seen = kind_of.points(images, hidden=False)
 
         def shots() -> Iterator[Shot]:
             for place, image in enumerate(images):
@@ -140,7 +120,7 @@ class CocoImporter(Plugin):
             arms=kind_of.arms,
             kinds=kind_of.kinds,
             images=pictures is not None,
-            tips=None if tips is None else {arm: np.stack([labels[t][arm] for t in tips], 1) for arm in kind_of.arms},
+            tips=tips_of(seen, tips, kind_of.arms),
             labels=labels,
             dt_s=timing.dt_s,
         )
@@ -169,96 +149,10 @@ class CocoImporter(Plugin):
         return wanted[0], wanted[1]
 
 
-class _Kinds:
-    """Which arm each object is.
-
-    Args:
-        dataset: All objects.
-        config: What was told.
-
-    Raises:
-        ConfigError: More must be told; one line that names the option.
-    """
-
-    def __init__(self, dataset: CocoDataset, config: CocoImporter.Config) -> None:
-        self._dataset, self._config = dataset, config
-        self.lines: list[str] = []
-        objects = dataset.objects
-        if not objects:
-            raise DatasetError(f"{dataset.path}: holds no annotations")
-        self._kind = self._decided(objects)
-        found = {kind for one in objects if (kind := self._kind(one)) is not None}
-        self.arms: tuple[Arm, ...] = ARMS if BOTH in found else tuple(arm for arm in ARMS if arm in found)
-        if not self.arms:
-            raise ConfigError(f"{dataset.path}: no object is of either arm; --categories or --tracks says which are")
-        shown = any(one.get("segmentation") for one in objects)
-        self.kinds: tuple[MaskKind, ...] = () if not shown else (BOTH,) if BOTH in found else self.arms
-        for images in dataset.sequences.values():
-            for image in images:
-                self._check_single(image)
-
-    def of(self, image: CocoImage) -> Iterator[tuple[MaskKind, dict[str, Any]]]:
-        """The objects of an image that are instruments."""
-        for one in image.objects:
-            kind = self._kind(one)
-            if kind is not None:
-                yield kind, one
-
-    def masks(self, image: CocoImage) -> dict[str, Mask]:
-        """An image's mask of each kind."""
-        masks = {kind: np.zeros(image.size[::-1], dtype=bool) for kind in self.kinds}
-        for kind, one in self.of(image) if self.kinds else ():
-            masks[kind] |= self._dataset.mask(image, one)
-        return dict(masks)
-
-    def _decided(self, objects: list[dict[str, Any]]) -> Callable[[Mapping[str, Any]], MaskKind | None]:
-        config, dataset = self._config, self._dataset
-        if config.categories is not None and config.tracks is not None:
-            raise ConfigError("--categories and --tracks cannot both tell which arm an object is")
-        if config.categories is not None:
-            by_category = by_name_or_id(config.categories, "--categories", dataset.categories, ARMS)
-            return lambda one: by_category.get(one["category_id"])  # type: ignore[return-value]
-        if config.tracks is not None:
-            key = next((key for key in TRACK_KEYS if any(key in one for one in objects)), None)
-            if key is None:
-                raise ConfigError(f"--tracks: objects in {dataset.path} have no {' or '.join(TRACK_KEYS)}")
-            tracks = sorted({int(one[key]) for one in objects if key in one})
-            by_track = by_name_or_id(config.tracks, "--tracks", dict.fromkeys(tracks, key), ARMS)
-            return lambda one: by_track.get(one.get(key, -1))  # type: ignore[return-value]
-        if config.arm == BOTH:
-            return lambda one: BOTH
-        if all(one.get(ARM_KEY) in (*ARMS, BOTH) for one in objects):
-            return lambda one: one[ARM_KEY]  # type: ignore[no-any-return]
-        used = sorted({one["category_id"] for one in objects})
-        if len(used) > 1:
-            names = [dataset.categories[number] for number in used]
-            raise ConfigError(
-                f"{dataset.path}: objects are of {len(names)} categories ({', '.join(names[:8])}); --categories "
-                f"{names[0]}=left,{names[1]}=right says which arm each is, --arms both that they are one mask"
-            )
-        only: Arm = "right" if config.arm == "right" else "left"
-        return lambda one: only
-
-    def _check_single(self, image: CocoImage) -> None:
-        kinds = [(kind, one["category_id"]) for kind, one in self.of(image)]
-        for kind, category in kinds:
-            if kind != BOTH and kinds.count((kind, category)) > 1 and not self._config.pieces:
-                name = self._dataset.categories[category]
-                raise ConfigError(
-                    f"{self._dataset.path}: '{image.name}' has {kinds.count((kind, category))} objects '{name}' of one "
-                    "arm; --tracks 1=left,2=right tells two instruments apart, --pieces joins parts of one, --arms both "
-                    "makes one mask of all"
-                )
-
-
-def _labels(dataset: CocoDataset, images: list[CocoImage], kind_of: _Kinds) -> dict[str, dict[Arm, FloatArray]]:
-    """Name to arm to ``(frames, 2)``."""
-    if BOTH in kind_of.kinds or not any(one.get("num_keypoints", 1) for one in dataset.objects):
-        return {}
-    labels = {name: {arm: np.full((len(images), 2), np.nan) for arm in kind_of.arms} for name in dataset.labels}
-    for place, image in enumerate(images):
-        for kind, one in kind_of.of(image):
-            for name, point in dataset.points(one).items():
-                if kind == "left" or kind == "right":
-                    labels[name][kind][place] = point
-    return labels
+def tips_of(
+    points: dict[str, dict[Arm, FloatArray]], tips: tuple[str, str] | None, arms: tuple[Arm, ...]
+) -> dict[Arm, FloatArray] | None:
+    """``(frames, 2, 2)`` of each arm; ``None`` where there are none."""
+    if tips is None or not points:
+        return None
+    return {arm: np.stack([points[tip][arm] for tip in tips], axis=1) for arm in arms}

@@ -77,8 +77,8 @@ class CocoDataset:
         except ValueError as error:
             raise DatasetError(f"{self.path}: annotation {one.get('id')} of '{image.name}': {error}") from None
 
-    def points(self, one: Mapping[str, Any]) -> dict[str, tuple[float, float]]:
-        """An object's keypoints that are marked, those that are hidden included.
+    def points(self, one: Mapping[str, Any], *, hidden: bool) -> dict[str, tuple[float, float]]:
+        """An object's keypoints that are marked, or only those that are not hidden.
 
         Raises:
             DatasetError: They are other than its category says; one line.
@@ -92,7 +92,9 @@ class CocoDataset:
             raise DatasetError(
                 f"{self.path}: annotation {one.get('id')}: 'keypoints' must be x, y, v of each of {', '.join(names)}"
             ) from None
-        return {name: (u, v) for name, (u, v, flag) in zip(names, rows.tolist(), strict=True) if flag > 0}
+        return {
+            name: (u, v) for name, (u, v, flag) in zip(names, rows.tolist(), strict=True) if flag > (0 if hidden else 1)
+        }
 
 
 def find_coco(source: Path) -> Path:
