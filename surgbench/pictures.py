@@ -65,7 +65,7 @@ def decode_picture(
     Raises:
         DatasetError: It is empty, truncated, damaged, another kind of file, or of another size; one line that names it.
     """
-    size = picture_size(data, name)
+    size = stated_size(data, name)
     outline = _outline(data)
     assert outline is not None
     if width is not None and height is not None and outline.width and size != (width, height):
@@ -84,7 +84,7 @@ def decode_picture(
     return np.asarray(picture)
 
 
-def picture_size(data: bytes, name: str) -> tuple[int, int]:
+def stated_size(data: bytes, name: str) -> tuple[int, int]:
     """Width and height that the header of a PNG or JPEG file says.
 
     Args:

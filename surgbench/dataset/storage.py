@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import errno
 import hashlib
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from surgbench.dataset.manifest import FileEntry
@@ -28,6 +31,36 @@ def check_new(out: Path, option: str = "--out") -> None:
     """
     if out.exists() and (not out.is_dir() or any(without_leftovers(out.iterdir()))):
         raise DatasetError(f"{out}: holds something already; {option} needs a new or empty folder")
+
+
+@contextmanager
+def new_dataset(out: Path) -> Iterator[Path]:
+    """A scratch folder beside a dataset's, which takes its place when the block ends well, and else is gone.
+
+    Args:
+        out: The dataset's folder: new or empty.
+
+    Yields:
+        The scratch folder, empty.
+
+    Raises:
+        DatasetError: ``out`` holds something.
+        SurgbenchError: The disk is full, or nothing can be written there; one line.
+    """
+    check_new(out)
+    scratch = out.absolute().with_name(f".{out.absolute().name}.importing")
+    try:
+        if scratch.exists():
+            shutil.rmtree(scratch)  # of an import that was killed
+        scratch.mkdir(parents=True)
+        yield scratch
+        for leftover in out.iterdir() if out.exists() else ():
+            leftover.rename(scratch / leftover.name)  # of the system's; nothing else is in there
+        scratch.rename(out)
+    except OSError as error:
+        raise storage_error(error, out, "run the same command again") from None
+    finally:
+        shutil.rmtree(scratch, ignore_errors=True)
 
 
 def storage_error(error: OSError, folder: Path, advice: str) -> SurgbenchError:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal
@@ -14,15 +13,14 @@ from pydantic import Field
 from surgbench.camera.options import CameraOptions
 from surgbench.contract import Plugin
 from surgbench.dataset.manifest import MANIFEST_NAME
-from surgbench.dataset.storage import check_new, file_entry, storage_error
+from surgbench.dataset.storage import check_new, file_entry, new_dataset
 from surgbench.errors import ConfigError
+from surgbench.exchange.mask_options import MaskOptions
 from surgbench.instrument import load_instrument, save_instrument
 from surgbench.recordings.beside import BesideOptions
 from surgbench.recordings.coding import WHOLE, Told, read_coding
 from surgbench.recordings.folder import find_masks, open_masks, read_recording, recording_folder
-from surgbench.recordings.labels import parse_codes, parse_instances
 from surgbench.recordings.names import Stamps
-from surgbench.recordings.survey import Channel
 from surgbench.tasks.instrument.format import (
     ARM_JOINTS_CONVENTION,
     ARMS,
@@ -93,11 +91,7 @@ def import_masks(
         source, model, optics, beside, arms=arms, single_images=single_images, stamps=stamps, fps=fps
     )
     coding = read_coding(recording.masks, told)
-    scratch = out.absolute().with_name(f".{out.absolute().name}.importing")
-    try:
-        if scratch.exists():
-            shutil.rmtree(scratch)  # of an import that was killed
-        scratch.mkdir(parents=True)
+    with new_dataset(out) as scratch:
         folder = instrument_folder(model.name)
         files = {
             path.relative_to(scratch).as_posix(): file_entry(path.read_bytes())
@@ -132,13 +126,6 @@ def import_masks(
             files=files,
         )
         (scratch / MANIFEST_NAME).write_bytes(manifest.to_bytes())
-        for leftover in out.iterdir() if out.exists() else ():
-            leftover.rename(scratch / leftover.name)  # of the system's; nothing else is in there
-        scratch.rename(out)
-    except OSError as error:
-        raise storage_error(error, out, "run the same command again") from None
-    finally:
-        shutil.rmtree(scratch, ignore_errors=True)
     for line in (summary, *recording.notes):
         say(line)
     for line in (*coding.warnings, *writer.shares.warnings(one_arm=len(arms) == 1)):
@@ -175,7 +162,7 @@ class MasksImporter(Plugin):
         "surgbench import masks recordings/two --instances 1=left,2=right --out data/two",
     )
 
-    class Config(CameraOptions, BesideOptions):
+    class Config(MaskOptions, CameraOptions, BesideOptions):
         """Options."""
 
         name: Annotated[str | None, Field(description="The dataset's name; the source folder's unless told.")] = None
@@ -193,26 +180,6 @@ class MasksImporter(Plugin):
                 json_schema_extra={"option": "arms", "also": "arm"},
             ),
         ] = "left"
-        label: Annotated[
-            str | None, Field(description="VALUES that are instrument: 5 or 1,2, or colours as red/green/blue: 64/0/0.")
-        ] = None
-        instances: Annotated[
-            str | None, Field(description="VALUES of each arm, as 1=left,2=right: masks of their own for both.")
-        ] = None
-        ignore: Annotated[
-            str | None, Field(description="VALUES that mean nothing, as 255 in some label maps; not instrument.")
-        ] = None
-        threshold: Annotated[
-            int | None,
-            Field(
-                ge=1, le=65535, description="Pixels of at least this value are instrument; default: half of the range."
-            ),
-        ] = None
-        invert: Annotated[bool, Field(description="The instrument is the dark part, or 0.")] = False
-        channel: Annotated[
-            Channel,
-            Field(description="Where masks with transparency are coded; auto: where they are not all the same."),
-        ] = "auto"
         single_images: Annotated[
             bool, Field(description="The masks are unrelated: each becomes a sequence of one frame.")
         ] = False
@@ -246,13 +213,4 @@ class MasksImporter(Plugin):
         return lines
 
     def _told(self) -> Told:
-        config = self.config
-        return Told(
-            label=parse_codes(config.label, "--label"),
-            instances=parse_instances(config.instances, "--instances", ARMS),
-            ignore=parse_codes(config.ignore, "--ignore"),
-            threshold=config.threshold,
-            invert=config.invert,
-            channel=config.channel,
-            several=config.arm == BOTH,
-        )
+        return self.config.told(several=self.config.arm == BOTH)

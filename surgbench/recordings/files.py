@@ -12,7 +12,7 @@ from surgbench.dataset.masks import read_bytes
 from surgbench.errors import DatasetError
 from surgbench.geometry import FloatArray
 from surgbench.leftovers import without_leftovers
-from surgbench.pictures import JPEG_SIGNATURE, PICTURE_SUFFIXES, decode_picture, picture_size
+from surgbench.pictures import JPEG_SIGNATURE, PICTURE_SUFFIXES, decode_picture, stated_size
 from surgbench.recordings.names import number_files
 
 
@@ -58,7 +58,7 @@ class MaskFiles:
         self.place = folder
         self.paths = numbered_pictures(folder, "masks")
         first = next(iter(self.paths.values()))
-        self.size = size or picture_size(read_bytes(first), str(first))
+        self.size = size or stated_size(read_bytes(first), str(first))
         self.numbers = list(self.paths)
         self.names = [path.stem for path in self.paths.values()]
         self.times_s: FloatArray | None = None

@@ -23,7 +23,6 @@ class MaskSource(Protocol):
 
     Attributes:
         place: File or folder, for messages.
-        size: Width and height of all of them, pixels; ``None`` where neither the source nor who opened it says.
         numbers: Of the frames, increasing.
         names: Of the frames, as the recording calls them.
         times_s: ``(frames,)`` seconds since the first frame where the source itself tells, else ``None``.
@@ -32,12 +31,16 @@ class MaskSource(Protocol):
     """
 
     place: Path
-    size: tuple[int, int] | None
     numbers: list[int]
     names: list[str]
     times_s: FloatArray | None
     lossy: str | None
     several: str | None
+
+    @property
+    def size(self) -> tuple[int, int] | None:
+        """Width and height of all of them, pixels; ``None`` where neither the source nor who opened it says."""
+        ...
 
     def pictures(self) -> Iterator[NDArray[Any]]:
         """Each mask as OpenCV decodes it, only one at a time in memory.

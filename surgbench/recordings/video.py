@@ -31,11 +31,11 @@ class MaskVideo:
 
     def __init__(self, path: Path, size: tuple[int, int] | None = None) -> None:
         self.place = path
-        self.size = size
+        self._wanted = size
         self.lossy: str | None = "video"
         self.several: str | None = None
         capture = self._open()
-        self.size = _size(capture)
+        self.size: tuple[int, int] = _size(capture)
         claimed, rate = capture.get(cv2.CAP_PROP_FRAME_COUNT), capture.get(cv2.CAP_PROP_FPS)
         times = []
         while capture.grab():
@@ -69,13 +69,13 @@ class MaskVideo:
             raise DatasetError(f"{self.place}: not a video that can be decoded, or truncated")
         capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)  # masks are of the sensor's grid
         found = _size(capture)
-        if self.size not in (None, found):
+        if self._wanted not in (None, found):
             capture.release()
             raise DatasetError(self._wrong_size(*found))
         return capture
 
     def _wrong_size(self, width: int, height: int) -> str:
-        wanted = self.size or (0, 0)
+        wanted = self._wanted or self.size
         return f"{self.place}: is {width}x{height} pixels, not {wanted[0]}x{wanted[1]}"
 
 

@@ -25,6 +25,7 @@ from surgbench.tasks.instrument.format import (
     InstrumentManifest,
     SequenceEntry,
     clean_mask_path,
+    labels_path,
     observed_path,
     states_path,
 )
@@ -35,6 +36,7 @@ from surgbench.tasks.instrument.tables import (
     READING_COLUMNS,
     STATE_COLUMNS,
     arm_columns,
+    label_columns,
 )
 
 
@@ -176,6 +178,13 @@ class Sequence:
             return None
         return tables.stack(self._observations, arm_columns(arm, ARM_JOINT_COLUMNS))
 
+    def labels(self, arm: Arm) -> dict[str, FloatArray]:
+        """Points of an arm that somebody marked: name to ``(frames, 2)`` pixels (u, v), NaN where there is none."""
+        self._check_arm(arm)
+        return {
+            label: tables.stack(self._labels, arm_columns(arm, label_columns(label))) for label in self.entry.labels
+        }
+
     def kinematics(self, arm: Arm) -> FloatArray | None:
         """``(frames, 4, 4)`` the robot's own readings of T_base_tool, NaN where one is missing.
 
@@ -206,6 +215,11 @@ class Sequence:
     def _observations(self) -> dict[str, FloatArray]:
         path = self.root / observations_path(self.id)
         return tables.decode_table(read_bytes(path), str(path), self.frames, observation_columns(self.entry))
+
+    @cached_property
+    def _labels(self) -> dict[str, FloatArray]:
+        path = self.root / labels_path(self.id)
+        return tables.decode_table(read_bytes(path), str(path), self.frames, labelled_columns(self.entry))
 
     @cached_property
     def _states(self) -> dict[str, FloatArray]:
@@ -241,6 +255,11 @@ def observation_columns(entry: SequenceEntry) -> list[str]:
         if entry.T_cam_base:
             columns += arm_columns(arm, KINEMATICS_COLUMNS)
     return columns
+
+
+def labelled_columns(entry: SequenceEntry) -> list[str]:
+    """Columns that a sequence's ``labels.parquet`` has besides ``frame``."""
+    return [column for arm in entry.arms for label in entry.labels for column in arm_columns(arm, label_columns(label))]
 
 
 def state_columns(entry: SequenceEntry) -> list[str]:
@@ -315,6 +334,10 @@ class InstrumentDataset(Dataset[InstrumentManifest]):
                     for arm in alone
                 ]
         if not units:
+            if not any(sequence.entry.kinds for sequence in self.sequences):
+                raise DatasetError(
+                    f"{self.path}: has no masks, which trackers work on; import the recording again with --masks"
+                )
             need = "two arms in one mask ('both')" if arms == "dual" else "a mask of one arm alone"
             other = "single" if arms == "dual" else "dual"
             raise DatasetError(f"{self.path}: no sequence has {need}; try --arms {other}")

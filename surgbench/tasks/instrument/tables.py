@@ -27,6 +27,11 @@ ARM_JOINT_COLUMNS = (
 VIEW_COLUMNS = ("view_rx_rad", "view_ry_rad", "view_rz_rad", "view_x_m", "view_y_m", "view_z_m")
 
 
+def label_columns(label: str) -> tuple[str, str]:
+    """Column names of a marked point, without the arm's."""
+    return (f"{label}_u_px", f"{label}_v_px")
+
+
 def arm_columns(arm: str, names: Sequence[str]) -> list[str]:
     """Column names of one arm, or of one kind of mask, for example ``left_u1_px``."""
     return [f"{arm}_{name}" for name in names]

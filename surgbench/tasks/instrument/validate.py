@@ -17,12 +17,18 @@ from surgbench.errors import DatasetError, SurgbenchError
 from surgbench.geometry import FloatArray
 from surgbench.state import ALPHA, BETA, GAMMA, JOINTS, POSITION, JointLimits
 from surgbench.tasks.instrument.auxiliary import auxiliary_columns, keypoint_columns, kind_arms, pose_columns
-from surgbench.tasks.instrument.dataset import InstrumentDataset, observation_columns, state_columns
+from surgbench.tasks.instrument.dataset import (
+    InstrumentDataset,
+    labelled_columns,
+    observation_columns,
+    state_columns,
+)
 from surgbench.tasks.instrument.format import (
     IMAGE_KIND,
     Arm,
     AuxiliaryEntry,
     SequenceEntry,
+    labels_path,
     poses_path,
     sequence_files,
     states_path,
@@ -36,6 +42,7 @@ from surgbench.tasks.instrument.tables import (
     STATE_COLUMNS,
     VIEW_COLUMNS,
     arm_columns,
+    label_columns,
 )
 
 # Angles computed in float64 may pass a limit by rounding.
@@ -69,6 +76,8 @@ def validate(dataset: InstrumentDataset, progress: Callable[[float], None] = lam
         camera = cameras[entry.id]
         if observations_path(entry.id) in sound:
             problems += _check_observations(root, entry, camera)
+        if entry.labels and labels_path(entry.id) in sound:
+            problems += _check_labels(root, entry, camera)
         if entry.truth and states_path(entry.id) in sound:
             problems += _check_states(root, entry, limits)
         for name, view in entry.auxiliary.items():
@@ -125,6 +134,20 @@ def _check_observations(root: Path, entry: SequenceEntry, camera: Camera) -> lis
                     f"{path}: frame {_first(bad)}: the {arm} arm's tool pose is not finite, or its rotation vector is "
                     "longer than pi"
                 )
+    return problems
+
+
+def _check_labels(root: Path, entry: SequenceEntry, camera: Camera) -> list[str]:
+    path = root / labels_path(entry.id)
+    try:
+        values = tables.decode_table(read_bytes(path), str(path), entry.frames, labelled_columns(entry))
+    except DatasetError as error:
+        return [str(error)]
+    problems = []
+    for arm in entry.arms:
+        columns = [column for label in entry.labels for column in arm_columns(arm, label_columns(label))]
+        points = tables.stack(values, columns).reshape(-1, len(entry.labels), 2)
+        problems += _keypoint_problems(path, arm, points, camera)
     return problems
 
 
