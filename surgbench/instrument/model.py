@@ -60,13 +60,7 @@ class Instrument:
 
     @cached_property
     def observable(self) -> frozenset[Quantity]:
-        """What can be seen of its state besides where it is and points: of ``roll`` and the joints' names.
-
-        Example:
-            >>> from surgbench.instrument import load_instrument
-            >>> sorted(load_instrument("large_needle_driver").observable)
-            ['jaw', 'roll', 'wrist_pitch', 'wrist_yaw']
-        """
+        """What can be seen of its state besides where it is and points: of ``roll`` and the joints' names."""
         transforms = self.link_transforms(np.zeros(STATE_SIZE))
         bodies = {
             name: mesh.vertices_m @ transforms[self.link_index[name], :3, :3].T

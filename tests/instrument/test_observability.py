@@ -66,6 +66,11 @@ def hook() -> dict[str, Any]:
     return spec
 
 
+def test_the_needle_driver_shows_everything() -> None:
+    """So that nothing about it is scored otherwise than before."""
+    assert load_instrument("large_needle_driver").observed.all()
+
+
 def test_a_tube_shows_neither_joints_nor_its_roll(tmp_path: Path) -> None:
     instrument = load(tmp_path, tube())
     assert instrument.observable == frozenset()
