@@ -17,6 +17,7 @@ from surgbench.dataset.storage import check_new, file_entry, new_dataset
 from surgbench.errors import ConfigError
 from surgbench.exchange.mask_options import MaskOptions
 from surgbench.instrument import load_instrument, save_instrument
+from surgbench.instrument.arms import load_arm
 from surgbench.recordings.beside import BesideOptions
 from surgbench.recordings.coding import WHOLE, Told, read_coding
 from surgbench.recordings.folder import find_masks, open_masks, read_recording, recording_folder
@@ -25,6 +26,7 @@ from surgbench.tasks.instrument.format import (
     ARM_JOINTS_CONVENTION,
     ARMS,
     CONVENTIONS,
+    ROBOT_ARM,
     Arm,
     InstrumentManifest,
     instrument_folder,
@@ -91,6 +93,7 @@ def import_masks(
         source, model, optics, beside, arms=arms, single_images=single_images, stamps=stamps, fps=fps
     )
     coding = read_coding(recording.masks, told)
+    robot_arm = load_arm((beside or BesideOptions()).robot_arm) if recording.arm_joints is not None else None
     with new_dataset(out) as scratch:
         folder = instrument_folder(model.name)
         files = {
@@ -116,6 +119,7 @@ def import_masks(
                 "arm": arm if coding.groups.keys() == {WHOLE} else "-".join(coding.groups),
                 "single_images": single_images,
                 **(beside.told if beside is not None else {}),
+                **({} if robot_arm is None else {ROBOT_ARM: robot_arm.model_dump(mode="json")}),
                 "undistorted": recording.camera.is_distorted,
                 "source_camera": recording.camera.model_dump(mode="json"),
             },

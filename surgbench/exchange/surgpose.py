@@ -17,12 +17,14 @@ from surgbench.exchange.footage_options import FrameOptions
 from surgbench.exchange.lags import move_readings, read_lags
 from surgbench.exchange.surgpose_masks import ArmMasks
 from surgbench.geometry import FloatArray
+from surgbench.instrument.arms import load_arm
 from surgbench.pictures import as_rgb
 from surgbench.recordings import surgpose as files
+from surgbench.recordings.beside import RobotArmOption
 from surgbench.recordings.frame_masks import picked
 from surgbench.recordings.video import MaskVideo
 from surgbench.tasks.instrument.footage import Footage
-from surgbench.tasks.instrument.format import ARMS
+from surgbench.tasks.instrument.format import ARMS, ROBOT_ARM
 from surgbench.tasks.instrument.imported import write_import
 
 # As others of the package that take lags out of readings call it.
@@ -39,7 +41,7 @@ class SurgPoseImporter(Plugin):
         "surgbench import surgpose SurgPose --trajectories 0-7,30-33 --half --masks sam2 --out data/surgpose",
     )
 
-    class Config(FrameOptions):
+    class Config(FrameOptions, RobotArmOption):
         """Options."""
 
         trajectories: Annotated[
@@ -84,7 +86,8 @@ class SurgPoseImporter(Plugin):
                 for name in trajectories
                 if name.isdigit() and int(name) not in files.NEEDLE_DRIVERS
             ]
-        configuration = {**config.configuration(self.name), "T_right_left": stereos}
+        robot_arm = load_arm(config.robot_arm).model_dump(mode="json")
+        configuration = {**config.configuration(self.name), "T_right_left": stereos, ROBOT_ARM: robot_arm}
         if lags:
             configuration[LAGS_KEY] = {name: lags[name] for name in trajectories if name in lags}
         said = write_import(

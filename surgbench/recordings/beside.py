@@ -14,13 +14,26 @@ from surgbench.camera import Camera
 from surgbench.config import Section
 from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument
+from surgbench.instrument.arms import DEFAULT_ARM
 from surgbench.recordings.readings import AngleUnit, Jaw, Readings, read_joints
 from surgbench.recordings.tips import Tips, TipsUnit, read_tips
 
 JOINTS_FILE, TIPS_FILE = "joints.csv", "tips.csv"
 
 
-class BesideOptions(Section):
+class RobotArmOption(Section):
+    """Which robot's joints a recording has."""
+
+    robot_arm: Annotated[
+        str,
+        Field(
+            description="ARM whose six joints the recording has: a name (surgbench list arms), or an arm's file; "
+            "default: classic_400006."
+        ),
+    ] = DEFAULT_ARM
+
+
+class BesideOptions(RobotArmOption):
     """What the files do not say of themselves; the base of an importer's options."""
 
     joints_unit: Annotated[
@@ -44,7 +57,8 @@ class BesideOptions(Section):
     @property
     def told(self) -> dict[str, str | bool]:
         """Those that were given, as a dataset's configuration has them."""
-        return self.model_dump(include=set(BesideOptions.model_fields), exclude_defaults=True)
+        fields = set(BesideOptions.model_fields) - set(RobotArmOption.model_fields)
+        return self.model_dump(include=fields, exclude_defaults=True)
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from surgbench.geometry import FloatArray, rotation_vector
 from surgbench.handeye.track import ReadingTrack, Timeline
 from surgbench.tasks.instrument.dataset import InstrumentDataset, Sequence, observation_columns
 from surgbench.tasks.instrument.format import Arm
-from surgbench.tasks.instrument.tables import KINEMATICS_COLUMNS, READING_COLUMNS, arm_columns
+from surgbench.tasks.instrument.tables import ARM_JOINT_COLUMNS, KINEMATICS_COLUMNS, READING_COLUMNS, arm_columns
 
 # Key of the manifest's configuration, which keeps what was done.
 ALIGNED = "lag_frames_taken_out"
@@ -78,6 +78,11 @@ def _aligned(
             there = np.isfinite(joints).all(axis=1)
             moved = Timeline(times[there], sequence.dt_s).mix(joints[there], wanted)
             columns |= dict(zip(arm_columns(arm, READING_COLUMNS), moved.T, strict=True))
+        arm_joints = sequence.arm_joints(arm)
+        if arm_joints is not None:
+            there = np.isfinite(arm_joints).all(axis=1)
+            moved = Timeline(times[there], sequence.dt_s).mix(arm_joints[there], wanted)
+            columns |= dict(zip(arm_columns(arm, ARM_JOINT_COLUMNS), moved.T, strict=True))
         if poses is not None:
             at = ReadingTrack(times, poses, sequence.dt_s).at(wanted)
             moved = np.full((len(at), 6), np.nan)

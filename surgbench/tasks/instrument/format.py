@@ -57,6 +57,10 @@ ARM_JOINTS_CONVENTION = {
 }
 
 
+# Key of the manifest's configuration: the arm's file (:mod:`surgbench.instrument.arms`) whose joints these are.
+ROBOT_ARM = "robot_arm"
+
+
 # Likewise.
 LABELS_CONVENTION = {
     "labels": "points of the instruments as somebody marked them, in labels.parquet; (u, v) pixels, NaN: not marked",
