@@ -15,7 +15,7 @@ LOCK_SUFFIX = ".lock"
 
 
 @contextmanager
-def sole_writer(out: Path, command: str) -> Iterator[None]:
+def sole_writer(out: Path, command: str, option: str = "--out") -> Iterator[None]:
     """Hold a folder against other commands for the time of the block.
 
     It is made where it is not there, and removed again where nothing has come of it.
@@ -23,6 +23,7 @@ def sole_writer(out: Path, command: str) -> Iterator[None]:
     Args:
         out: The folder.
         command: Which of ours is at work, as the other is told: ``"generate"``.
+        option: That named the folder, for messages.
 
     Raises:
         DatasetError: Another process is at work there, or it is a file.
@@ -34,11 +35,11 @@ def sole_writer(out: Path, command: str) -> Iterator[None]:
             descriptor = lock(out, os.O_RDONLY | os.O_DIRECTORY)
         except (FileExistsError, NotADirectoryError):
             place = next(place for place in (out, *out.parents) if place.exists())
-            raise DatasetError(f"{place}: is a file; --out needs a folder") from None
+            raise DatasetError(f"{place}: is a file; {option} needs a folder") from None
         except OSError as error:
             raise SurgbenchError(f"{out}: cannot be written ({error.strerror})") from None
         if descriptor is None:
-            raise in_use(out, command)
+            raise in_use(out, command, option)
         held.callback(os.close, descriptor)
         if made:
             held.callback(_remove_empty, out)  # before the lock is let go
@@ -72,9 +73,11 @@ def locked_beside(path: Path) -> Iterator[bool]:
         os.close(descriptor)
 
 
-def in_use(out: Path, command: str) -> DatasetError:
+def in_use(out: Path, command: str, option: str = "--out") -> DatasetError:
     """What is said to the second of two."""
-    return DatasetError(f"{out}: another 'surgbench {command}' is at work here; wait for it, or choose another --out")
+    return DatasetError(
+        f"{out}: another 'surgbench {command}' is at work here; wait for it, or choose another {option}"
+    )
 
 
 def lock(path: Path, flags: int) -> int | None:

@@ -118,7 +118,7 @@ def import_masks(
                 "fps": recording.timing.fps,
                 "arm": arm if coding.groups.keys() == {WHOLE} else "-".join(coding.groups),
                 "single_images": single_images,
-                **(beside.told if beside is not None else {}),
+                **(beside.given if beside is not None else {}),
                 **({} if robot_arm is None else {ROBOT_ARM: robot_arm.model_dump(mode="json")}),
                 "undistorted": recording.camera.is_distorted,
                 "source_camera": recording.camera.model_dump(mode="json"),

@@ -55,7 +55,7 @@ class BesideOptions(RobotArmOption):
     ] = None
 
     @property
-    def told(self) -> dict[str, str | bool]:
+    def given(self) -> dict[str, str | bool]:
         """Those that were given, as a dataset's configuration has them."""
         fields = set(BesideOptions.model_fields) - set(RobotArmOption.model_fields)
         return self.model_dump(include=fields, exclude_defaults=True)
