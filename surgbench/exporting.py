@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import Any, ClassVar, Protocol, runtime_checkable
 from surgbench.dataset.base import Dataset
 from surgbench.dataset.manifest import MANIFEST_NAME, MARKER_NAME
 from surgbench.dataset.open import open_dataset
-from surgbench.dataset.storage import check_new, storage_error
+from surgbench.dataset.storage import new_folder
 from surgbench.errors import DatasetError
 from surgbench.records.format import Record
 from surgbench.records.reader import read_runs
@@ -99,15 +98,5 @@ def export(exporter: Exporter, material: Material, out: Path, progress: Callable
     Raises:
         SurgbenchError: As :meth:`Exporter.write`, ``out`` holds something, or the disk is full.
     """
-    check_new(out)
-    scratch = out.absolute().with_name(f".{out.absolute().name}.exporting")
-    try:
-        if scratch.exists():
-            shutil.rmtree(scratch)  # of an export that was killed
-        scratch.mkdir(parents=True)
+    with new_folder(out, "exporting") as scratch:
         exporter.write(material, scratch, progress)
-        scratch.rename(out)
-    except OSError as error:
-        raise storage_error(error, out, "run the same command again") from None
-    finally:
-        shutil.rmtree(scratch, ignore_errors=True)

@@ -34,11 +34,13 @@ def check_new(out: Path, option: str = "--out") -> None:
 
 
 @contextmanager
-def new_dataset(out: Path) -> Iterator[Path]:
-    """A scratch folder beside a dataset's, which takes its place when the block ends well, and else is gone.
+def new_folder(out: Path, work: str = "importing", option: str = "--out") -> Iterator[Path]:
+    """A scratch folder beside another, whose place it takes when the block ends well, and else is gone.
 
     Args:
-        out: The dataset's folder: new or empty.
+        out: The folder: new or empty.
+        work: What goes on, for the scratch folder's name.
+        option: That named the folder, for messages.
 
     Yields:
         The scratch folder, empty.
@@ -47,11 +49,11 @@ def new_dataset(out: Path) -> Iterator[Path]:
         DatasetError: ``out`` holds something.
         SurgbenchError: The disk is full, or nothing can be written there; one line.
     """
-    check_new(out)
-    scratch = out.absolute().with_name(f".{out.absolute().name}.importing")
+    check_new(out, option)
+    scratch = out.absolute().with_name(f".{out.absolute().name}.{work}")
     try:
         if scratch.exists():
-            shutil.rmtree(scratch)  # of an import that was killed
+            shutil.rmtree(scratch)  # of a call that was killed
         scratch.mkdir(parents=True)
         yield scratch
         for leftover in out.iterdir() if out.exists() else ():

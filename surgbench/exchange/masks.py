@@ -13,7 +13,7 @@ from pydantic import Field
 from surgbench.camera.options import CameraOptions
 from surgbench.contract import Plugin
 from surgbench.dataset.manifest import MANIFEST_NAME
-from surgbench.dataset.storage import check_new, file_entry, new_dataset
+from surgbench.dataset.storage import check_new, file_entry, new_folder
 from surgbench.errors import ConfigError
 from surgbench.exchange.mask_options import MaskOptions
 from surgbench.instrument import load_instrument, save_instrument
@@ -94,7 +94,7 @@ def import_masks(
     )
     coding = read_coding(recording.masks, told)
     robot_arm = load_arm((beside or BesideOptions()).robot_arm) if recording.arm_joints is not None else None
-    with new_dataset(out) as scratch:
+    with new_folder(out) as scratch:
         folder = instrument_folder(model.name)
         files = {
             path.relative_to(scratch).as_posix(): file_entry(path.read_bytes())

@@ -12,7 +12,7 @@ import numpy as np
 from surgbench.dataset import tables
 from surgbench.dataset.manifest import MANIFEST_NAME, observations_path
 from surgbench.dataset.masks import read_bytes
-from surgbench.dataset.storage import check_new, storage_error
+from surgbench.dataset.storage import new_folder
 from surgbench.dataset.writer import write_files
 from surgbench.geometry import FloatArray, rotation_vector
 from surgbench.handeye.track import ReadingTrack, Timeline
@@ -37,11 +37,7 @@ def write_aligned(dataset: InstrumentDataset, lags_frames: Mapping[tuple[str, Ar
         DatasetError: The folder holds something.
         SurgbenchError: The disk is full or something in the way.
     """
-    check_new(out, "--fix-lag")
-    scratch = out.absolute().with_name(f".{out.absolute().name}.aligning")
-    try:
-        shutil.rmtree(scratch, ignore_errors=True)  # of a call that was killed
-        scratch.mkdir(parents=True)
+    with new_folder(out, "aligning", "--fix-lag") as scratch:
         tabled = {observations_path(sequence.id): sequence for sequence in dataset.sequences}
         files = dict(dataset.manifest.files)
         for file in files:
@@ -57,11 +53,6 @@ def write_aligned(dataset: InstrumentDataset, lags_frames: Mapping[tuple[str, Ar
         configuration = {**dataset.manifest.configuration, ALIGNED: done}
         manifest = dataset.manifest.model_copy(update={"files": files, "configuration": configuration})
         (scratch / MANIFEST_NAME).write_bytes(manifest.to_bytes())
-        scratch.rename(out)
-    except OSError as error:
-        raise storage_error(error, out, "run the same command again") from None
-    finally:
-        shutil.rmtree(scratch, ignore_errors=True)
 
 
 def _aligned(

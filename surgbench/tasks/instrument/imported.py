@@ -17,7 +17,7 @@ from surgbench.contract import Mask
 from surgbench.dataset import tables
 from surgbench.dataset.manifest import MANIFEST_NAME, FileEntry, observations_path
 from surgbench.dataset.masks import encode_image, encode_mask
-from surgbench.dataset.storage import file_entry, new_dataset
+from surgbench.dataset.storage import file_entry, new_folder
 from surgbench.dataset.writer import write_files
 from surgbench.errors import DatasetError
 from surgbench.geometry import FloatArray
@@ -79,7 +79,7 @@ def write_import(
     models = {model.name: model for model in instruments.values()}
     cameras = _named_cameras([footage.written_camera for footage in footages])
     lines: list[str] = []
-    with new_dataset(out) as scratch:
+    with new_folder(out) as scratch:
         files: dict[str, FileEntry] = {}
         for model in models.values():
             saved = save_instrument(model, scratch / instrument_folder(model.name))
