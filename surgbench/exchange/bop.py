@@ -97,7 +97,7 @@ class BopImporter(Plugin):
     ) -> dict[Arm, Instrument]:
         """The instrument that is told, or that each arm's objects are links of."""
         found = self.config.instruments()
-        if self.config.instrument != type(self.config).model_fields["instrument"].default:
+        if "instrument" in self.config.model_fields_set:
             return found
         for objects, own in zip(scene.objects, arms, strict=True):
             for one, arm in zip(objects, own, strict=True):

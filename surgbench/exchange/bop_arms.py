@@ -46,8 +46,8 @@ def arms_of_objects(scene: Scene, links: Mapping[int, Link], told: ObjectsTold) 
             for one, arm in zip(objects, own, strict=True):
                 if arm is not None and objects.count(one) > 1:
                     raise ConfigError(
-                        f"{scene.folder}: image {image} has {objects.count(one)} objects {one}; --order left,right says "
-                        "which of them is which arm"
+                        f"{scene.folder}: image {image} has {objects.count(one)} objects {one}; --order left,right "
+                        "says which of them is which arm"
                     )
         return arms
     if told.order:
@@ -142,5 +142,5 @@ def _check(
             if apart > AGREEMENT_M or turned > 1e-3:
                 raise DatasetError(
                     f"{scene.folder / JOINTS_FILE}: image {scene.images[place]}: the {arm} arm's state puts "
-                    f"'{link.link}' {1e3 * apart:.3g} mm from its pose in scene_gt.json; --instrument FILE names another"
+                    f"'{link.link}' {1e3 * apart:.3g} mm from its pose in scene_gt.json; is it another --instrument?"
                 )

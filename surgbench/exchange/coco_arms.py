@@ -82,10 +82,10 @@ class ObjectArms:
 
     def masks(self, image: CocoImage) -> dict[str, Mask]:
         """An image's mask of each kind."""
-        masks = {kind: np.zeros(image.size[::-1], dtype=bool) for kind in self.kinds}
+        masks: dict[str, Mask] = {kind: np.zeros(image.size[::-1], dtype=bool) for kind in self.kinds}
         for kind, one in self.of(image) if self.kinds else ():
             masks[kind] |= self._dataset.mask(image, one)
-        return dict(masks)
+        return masks
 
     def points(self, images: Sequence[CocoImage], *, hidden: bool) -> dict[str, dict[Arm, FloatArray]]:
         """Keypoints of some images: name to arm to ``(images, 2)``; empty where there are none.
@@ -116,13 +116,13 @@ class ObjectArms:
             key = next((key for key in TRACK_KEYS if any(key in one for one in objects)), None)
             if key is None:
                 raise ConfigError(f"--tracks: objects in {dataset.path} have no {' or '.join(TRACK_KEYS)}")
-            tracks = sorted({int(one[key]) for one in objects if key in one})
+            tracks = sorted({one[key] for one in objects if isinstance(one.get(key), int)})
             by_track = by_name_or_id(config.tracks, "--tracks", dict.fromkeys(tracks, key), ARMS)
             return lambda one: by_track.get(one.get(key, -1))  # type: ignore[return-value]
         if config.arm == BOTH:
             return lambda one: BOTH
         if all(one.get(ARM_KEY) in (*ARMS, BOTH) for one in objects):
-            return lambda one: one[ARM_KEY]  # type: ignore[no-any-return]
+            return lambda one: one[ARM_KEY]
         used = sorted({one["category_id"] for one in objects})
         if len(used) > 1:
             names = [dataset.categories[number] for number in used]

@@ -79,7 +79,7 @@ class SurgPoseImporter(Plugin):
         for name, folder in trajectories.items():
             footages.append(self._footage(name, folder, lags, lines))
             stereos[name] = files.read_stereo(folder / files.CALIBRATION_FILE).T_right_left.ravel().tolist()
-        if config.instrument == type(config).model_fields["instrument"].default:
+        if "instrument" not in config.model_fields_set:
             lines += [
                 f"warning: {name}: which instruments it shows is not published; taken for {config.instrument} "
                 "(--instrument says otherwise)"

@@ -1,9 +1,9 @@
 """Scenes in the format of the BOP benchmark: cameras, objects with poses, masks per object, pictures.
 
 ``scene_camera.json`` and ``scene_gt.json`` have an entry per image; poses go from an object's model to the camera, in
-millimetres. ``mask_visib/000003_000001.png`` is what shows of the second object in image 3, and ``mask/`` the same as if
-nothing hid it. A dataset of articulated objects may say beside it which link an object is (``models/objects.json``) and
-what joints all poses follow from (``scene_joints.json``), as surgbench's own export does.
+millimetres. ``mask_visib/000003_000001.png`` is what shows of the second object in image 3, and ``mask/`` the same as
+if nothing hid it. A dataset of articulated objects may say beside it which link an object is
+(``models/objects.json``) and what joints all poses follow from (``scene_joints.json``), as surgbench's own export does.
 """
 
 from __future__ import annotations
@@ -109,9 +109,7 @@ def find_scenes(source: Path, split: str | None) -> dict[str, Path]:
     if split is not None and split not in splits:
         raise ConfigError(f"--split {split}: {source} has {', '.join(splits) or 'no splits'}")
     if len(splits) > 1 and split is None:
-        raise ConfigError(
-            f"{source}: has several splits; --split {next(iter(splits))} takes one of {', '.join(splits)}"
-        )
+        raise ConfigError(f"{source}: has the splits {', '.join(splits)}; --split {next(iter(splits))} takes one")
     if not splits:
         raise DatasetError(f"{source}: holds no scenes (folders with {CAMERA_FILE} and {GT_FILE})")
     return splits[split or next(iter(splits))]

@@ -145,7 +145,7 @@ def read_jaws(folder: Path, frames: int) -> dict[str, FloatArray] | None:
     path = own if own.is_file() else common
     if not path.is_file():
         return None
-    content = _load(path)
+    content: Any = _load(path)
     if path == common:
         name = folder.resolve().name
         keyed = {str(key): value for key, value in content.items()}
@@ -166,7 +166,7 @@ def read_jaws(folder: Path, frames: int) -> dict[str, FloatArray] | None:
 def _camera(path: Path, parser: configparser.ConfigParser, section: str) -> Camera:
     names = {"width": "res_x", "height": "res_y", "fx": "fc_x", "fy": "fc_y", "cx": "cc_x", "cy": "cc_y"}
     content: dict[str, Any] = {key: _number(path, parser, section, name) for key, name in names.items()}
-    coefficients = []
+    coefficients: list[float] = []
     while parser.has_option(section, f"kc_{len(coefficients)}"):
         coefficients.append(_number(path, parser, section, f"kc_{len(coefficients)}"))
     while len(coefficients) > _COEFFICIENTS[1] and coefficients[-1] == 0.0:
