@@ -65,13 +65,11 @@ def decode_picture(
     Raises:
         DatasetError: It is empty, truncated, damaged, another kind of file, or of another size; one line that names it.
     """
-    size = stated_size(data, name)
-    outline = _outline(data)
-    assert outline is not None
+    outline = _known_outline(data, name)
+    size = (outline.width, outline.height)
     if width is not None and height is not None and outline.width and size != (width, height):
         raise DatasetError(f"{name}: is {size[0]}x{size[1]} pixels; {owner} {width}x{height}")
-    if max(size) > MAX_SIDE:
-        raise DatasetError(f"{name}: is {size[0]}x{size[1]} pixels; at most {MAX_SIDE}x{MAX_SIDE} are read")
+    _check_side(outline, name)
     picture = None
     # Decoders fill in what is missing of a truncated file and say nothing.
     if outline.end is not None and outline.width and outline.height:
@@ -92,12 +90,10 @@ def stated_size(data: bytes, name: str) -> tuple[int, int]:
         name: For the message.
 
     Raises:
-        DatasetError: It is empty or another kind of file; one line.
+        DatasetError: It is empty, another kind of file, or larger than is read; one line.
     """
-    outline = _outline(data)
-    if outline is None:
-        what = "not a PNG or JPEG file" if data else "empty file; expected a PNG or JPEG"
-        raise DatasetError(f"{name}: {what}")
+    outline = _known_outline(data, name)
+    _check_side(outline, name)
     return outline.width, outline.height
 
 
@@ -108,6 +104,21 @@ def as_rgb(picture: NDArray[Any]) -> NDArray[np.uint8]:
     if picture.ndim == 2:
         picture = np.repeat(picture[..., None], 3, axis=2)
     return np.ascontiguousarray(picture[..., 2::-1], dtype=np.uint8)
+
+
+def _known_outline(data: bytes, name: str) -> _Outline:
+    outline = _outline(data)
+    if outline is None:
+        what = "not a PNG or JPEG file" if data else "empty file; expected a PNG or JPEG"
+        raise DatasetError(f"{name}: {what}")
+    return outline
+
+
+def _check_side(outline: _Outline, name: str) -> None:
+    if max(outline.width, outline.height) > MAX_SIDE:
+        raise DatasetError(
+            f"{name}: is {outline.width}x{outline.height} pixels; at most {MAX_SIDE}x{MAX_SIDE} are read"
+        )
 
 
 def _outline(data: bytes) -> _Outline | None:
