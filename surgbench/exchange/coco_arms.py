@@ -14,8 +14,8 @@ from surgbench.errors import ConfigError, DatasetError
 from surgbench.exchange.footage_options import Arms
 from surgbench.geometry import FloatArray
 from surgbench.recordings.coco_dataset import TRACK_KEYS, CocoDataset, CocoImage, by_name_or_id
+from surgbench.tasks.instrument.footage import BOTH
 from surgbench.tasks.instrument.format import ARMS, Arm, MaskKind
-from surgbench.tasks.instrument.recorded import BOTH
 
 # What surgbench's own export says of an object.
 ARM_KEY = "arm"

@@ -16,9 +16,8 @@ from surgbench.exchange.mask_options import MaskOptions
 from surgbench.instrument import Instrument, load_instrument
 from surgbench.recordings.coding import WHOLE
 from surgbench.recordings.frame_masks import FrameMasks
-from surgbench.tasks.instrument.footage import Shot
+from surgbench.tasks.instrument.footage import BOTH, Shot
 from surgbench.tasks.instrument.format import ARMS, Arm, MaskKind
-from surgbench.tasks.instrument.recorded import BOTH
 
 Arms = Literal["left", "right", "both"]
 Images = Callable[[Sequence[int]], Iterator[NDArray[np.uint8]]]

@@ -3,36 +3,31 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
+import numpy as np
 from pydantic import Field
 
 from surgbench.camera.options import CameraOptions
 from surgbench.contract import Plugin
-from surgbench.dataset.manifest import MANIFEST_NAME
-from surgbench.dataset.storage import check_new, file_entry, new_folder
+from surgbench.dataset.storage import check_new
 from surgbench.errors import ConfigError
 from surgbench.exchange.mask_options import MaskOptions
-from surgbench.instrument import load_instrument, save_instrument
+from surgbench.geometry import FloatArray
+from surgbench.instrument import load_instrument
 from surgbench.instrument.arms import load_arm
+from surgbench.pictures import as_rgb
 from surgbench.recordings.beside import BesideOptions
-from surgbench.recordings.coding import WHOLE, Told, read_coding
-from surgbench.recordings.folder import find_masks, open_masks, read_recording, recording_folder
+from surgbench.recordings.coding import WHOLE, Coding, Told, read_coding
+from surgbench.recordings.files import read_picture
+from surgbench.recordings.folder import Recording, find_masks, open_masks, read_recording, recording_folder
 from surgbench.recordings.names import Stamps
-from surgbench.tasks.instrument.format import (
-    ARM_JOINTS_CONVENTION,
-    ARMS,
-    CONVENTIONS,
-    ROBOT_ARM,
-    Arm,
-    InstrumentManifest,
-    instrument_folder,
-)
-from surgbench.tasks.instrument.recorded import BOTH, CAMERA_NAME, RecordingWriter
-from surgbench.version import __version__
+from surgbench.recordings.shares import Shares
+from surgbench.tasks.instrument.footage import BOTH, Footage, Shot
+from surgbench.tasks.instrument.format import ARMS, ROBOT_ARM, Arm, MaskKind
+from surgbench.tasks.instrument.imported import write_import
 
 SEQUENCE_ID = "000"
 
@@ -83,9 +78,6 @@ def import_masks(
     """
     check_fps(fps)
     told = told or Told(several=arm == BOTH)
-    label = (
-        re.sub(r"[^A-Za-z0-9_.-]", "-", name or recording_folder(source).resolve().name).lstrip("-_.") or "recording"
-    )
     check_new(out)
     model = load_instrument(instrument)
     arms = arms_of(arm, told)
@@ -94,47 +86,79 @@ def import_masks(
     )
     coding = read_coding(recording.masks, told)
     robot_arm = load_arm((beside or BesideOptions()).robot_arm) if recording.arm_joints is not None else None
-    with new_folder(out) as scratch:
-        folder = instrument_folder(model.name)
-        files = {
-            path.relative_to(scratch).as_posix(): file_entry(path.read_bytes())
-            for path in save_instrument(model, scratch / folder)
-        }
-        writer = RecordingWriter(recording, coding, arms, scratch, progress)
-        sequences = []
-        count = len(recording.numbers)
-        for part in ([index] for index in range(count)) if single_images else [list(range(count))]:
-            entry = writer.entry(part, SEQUENCE_ID if not single_images else None, model.name)
-            sequences.append(entry)
-            files |= writer.write(part, entry)
-        summary = f"{count} masks, {coding.said}, {writer.shares.said}"
-        manifest = InstrumentManifest(
-            name=label,
-            created_by=f"surgbench {__version__}",
-            origin="imported",
-            configuration={
-                "importer": "masks",
-                "masks": summary,
-                "fps": recording.timing.fps,
-                "arm": arm if coding.groups.keys() == {WHOLE} else "-".join(coding.groups),
-                "single_images": single_images,
-                **(beside.given if beside is not None else {}),
-                **({} if robot_arm is None else {ROBOT_ARM: robot_arm.model_dump(mode="json")}),
-                "undistorted": recording.camera.is_distorted,
-                "source_camera": recording.camera.model_dump(mode="json"),
-            },
-            conventions=CONVENTIONS | (ARM_JOINTS_CONVENTION if recording.arm_joints is not None else {}),
-            cameras={CAMERA_NAME: recording.camera.pinhole},
-            instruments={model.name: f"{folder}/instrument.yaml"},
-            sequences=tuple(sequences),
-            files=files,
-        )
-        (scratch / MANIFEST_NAME).write_bytes(manifest.to_bytes())
-    for line in (summary, *recording.notes):
+    reading = _Reading(recording, coding, arms)
+    count = len(recording.numbers)
+    summary = f"{count} masks, {coding.said}"
+    write_import(
+        out,
+        [reading.footage([index], f"{number:06d}") for index, number in enumerate(recording.numbers)]
+        if single_images
+        else [reading.footage(list(range(count)), SEQUENCE_ID)],
+        name=name or recording_folder(source).resolve().name,
+        instruments=dict.fromkeys(arms, model),
+        configuration={
+            "importer": "masks",
+            "masks": summary,
+            "fps": recording.timing.fps,
+            "arm": arm if coding.groups.keys() == {WHOLE} else "-".join(coding.groups),
+            "single_images": single_images,
+            **(beside.given if beside is not None else {}),
+            **({} if robot_arm is None else {ROBOT_ARM: robot_arm.model_dump(mode="json")}),
+        },
+        progress=progress,
+        tell=False,
+    )
+    for line in (f"{summary}, {reading.shares.said}", *recording.notes):
         say(line)
-    for line in (*coding.warnings, *writer.shares.warnings(one_arm=len(arms) == 1)):
+    for line in (*coding.warnings, *reading.shares.warnings(one_arm=len(arms) == 1)):
         say(f"warning: {line}")
     return count
+
+
+class _Reading:
+    """Sequences of a recording's frames, which are read once, in order.
+
+    Attributes:
+        shares: How much of the masks read so far is instrument.
+    """
+
+    def __init__(self, recording: Recording, coding: Coding, arms: tuple[Arm, ...]) -> None:
+        self._recording, self._coding, self._arms = recording, coding, arms
+        self._kinds: tuple[MaskKind, ...] = (BOTH,) if len(arms) > 1 and coding.groups.keys() == {WHOLE} else arms
+        self._pictures = recording.masks.pictures()
+        self.shares = Shares()
+
+    def footage(self, part: list[int], sequence_id: str) -> Footage:
+        """A sequence of some frames, by their places, which come after those of the sequences before."""
+        recording = self._recording
+        return Footage(
+            id=sequence_id,
+            camera=recording.camera,
+            times_s=recording.timing.times_s[part],
+            names=[recording.masks.names[index] for index in part],
+            shots=lambda: map(self._shot, part),
+            arms=self._arms,
+            kinds=self._kinds,
+            images=recording.images is not None,
+            tips=self._of(recording.tips, part),
+            joints=self._of(recording.joints, part),
+            arm_joints=self._of(recording.arm_joints, part),
+            dt_s=recording.timing.dt_s,
+            regular=True,
+        )
+
+    def _of(self, values: dict[str, FloatArray] | None, part: list[int]) -> dict[Arm, FloatArray] | None:
+        return None if values is None else {arm: values[arm][part] for arm in self._arms}
+
+    def _shot(self, index: int) -> Shot:
+        recording = self._recording
+        found = self._coding.masks(next(self._pictures))
+        self.shares.add(np.logical_or.reduce(list(found.values())), recording.numbers[index])
+        masks = {kind: found[WHOLE if WHOLE in found else kind] for kind in self._kinds}
+        if recording.images is None:
+            return Shot(masks)
+        camera = recording.camera
+        return Shot(masks, as_rgb(read_picture(recording.images[index], camera.width, camera.height)))
 
 
 def check_fps(fps: float | None) -> None:

@@ -15,7 +15,8 @@ from surgbench.errors import DatasetError
 from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument
 from surgbench.tasks.instrument.format import Arm, MaskKind, SequenceEntry
-from surgbench.tasks.instrument.recorded import BOTH
+
+BOTH: Literal["both"] = "both"
 
 
 @dataclass(frozen=True)
@@ -53,7 +54,8 @@ class Footage:
         states: Arm to ``(frames, 9)`` true states.
         speed: How fast the instruments move.
         halved: The dataset has pictures of half the size.
-        dt_s: Seconds from frame to frame; the median unless told.
+        dt_s: Seconds from frame to frame where there are no two, or where they are ``regular``; else the median counts.
+        regular: ``dt_s`` is known better than from the times.
     """
 
     id: str
@@ -72,6 +74,7 @@ class Footage:
     speed: Literal["nominal", "fast"] = "nominal"
     halved: bool = False
     dt_s: float = 1.0 / 30.0
+    regular: bool = False
 
     @property
     def written_camera(self) -> Camera:
@@ -85,7 +88,7 @@ class Footage:
         return SequenceEntry(
             id=self.id,
             frames=len(self.times_s),
-            dt_s=float(np.median(steps)) if len(steps) else self.dt_s,
+            dt_s=float(np.median(steps)) if len(steps) and not self.regular else self.dt_s,
             speed=self.speed,
             camera=camera,
             arms=self.arms,

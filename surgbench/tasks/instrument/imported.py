@@ -23,7 +23,7 @@ from surgbench.errors import DatasetError
 from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument, save_instrument
 from surgbench.recordings.shares import Shares
-from surgbench.tasks.instrument.footage import Footage, Shot, half
+from surgbench.tasks.instrument.footage import BOTH, Footage, Shot, half
 from surgbench.tasks.instrument.format import (
     ARM_JOINTS_CONVENTION,
     CONVENTIONS,
@@ -37,7 +37,6 @@ from surgbench.tasks.instrument.format import (
     observed_path,
     states_path,
 )
-from surgbench.tasks.instrument.recorded import BOTH, CAMERA_NAME
 from surgbench.tasks.instrument.tables import (
     ARM_JOINT_COLUMNS,
     KEYPOINT_COLUMNS,
@@ -48,6 +47,8 @@ from surgbench.tasks.instrument.tables import (
 )
 from surgbench.version import __version__
 
+CAMERA_NAME = "camera"
+
 
 def write_import(
     out: Path,
@@ -57,6 +58,7 @@ def write_import(
     instruments: Mapping[Arm, Instrument],
     configuration: Mapping[str, Any],
     progress: Callable[[float], None] = lambda frames: None,
+    tell: bool = True,
 ) -> list[str]:
     """Write sequences as a dataset.
 
@@ -67,6 +69,7 @@ def write_import(
         instruments: Of each arm.
         configuration: The importer and its options.
         progress: Takes the number of frames just written.
+        tell: Say of each sequence what was written; else the importer knows better.
 
     Returns:
         What is to be told of it, line by line; warnings begin with ``warning:``.
@@ -90,7 +93,7 @@ def write_import(
             entries.append(footage.entry(names[0], instruments))
             writer = _Writer(footage, scratch, progress)
             files |= writer.write()
-            lines += writer.told()
+            lines += writer.told() if tell else ()
         manifest = InstrumentManifest(
             name=dataset_name(name),
             created_by=f"surgbench {__version__}",
