@@ -16,7 +16,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surgbench.errors import ConfigError, DatasetError
-from surgbench.recordings.labels import COLOUR, brightest, pixel_codes, write_code, write_codes, write_instances
+from surgbench.recordings.labels import (
+    COLOUR,
+    brightest,
+    colourfulness,
+    pixel_codes,
+    write_code,
+    write_codes,
+    write_instances,
+)
 from surgbench.recordings.survey import Channel, MaskSource, Survey, Tally, coded_plane
 
 Mask = NDArray[np.bool_]
@@ -27,6 +35,8 @@ MOST_LABELS = 16
 REACHED = 0.9
 # More of the pixels than this are no instrument, as a rule, but what is around it.
 MOST_INSTRUMENT = 0.5
+# Smeared grey pixels get a little colour, of the full range at most this share.
+NEARLY_GREY = 0.15
 WHOLE = ""
 
 
@@ -173,7 +183,8 @@ class _Decision:
         return self._labels({WHOLE: frozenset((chosen,))}, "" if plain else f"{write_code(chosen)} is instrument")
 
     def _many(self) -> Coding:
-        colours = [code for code in self._codes if code >= COLOUR]
+        tinge = NEARLY_GREY * self._tally.full if self._source.lossy is not None else 0
+        colours = [code for code in self._codes if code >= COLOUR and colourfulness(code) > tinge]
         degrees = len(self._codes) > MOST_LABELS or self._source.lossy is not None
         if degrees and not colours and self._tally.depths == 1 and self._is_smeared():
             half = (self._tally.full + 1) // 2
@@ -228,9 +239,10 @@ class _Decision:
     def _is_smeared(self) -> bool:
         """Whether nearly all pixels are at one end of the range or the other."""
         full = self._tally.full
-        between = sum(n for code, n in self._tally.pixels.items() if full / 4 <= code < 3 * full / 4)
-        above = sum(n for code, n in self._tally.pixels.items() if code >= 3 * full / 4)
-        return max(self._codes) >= REACHED * full and between < min(above, self._tally.total - above)
+        levels = [(brightest(code), n) for code, n in self._tally.pixels.items()]
+        between = sum(n for level, n in levels if full / 4 <= level < 3 * full / 4)
+        above = sum(n for level, n in levels if level >= 3 * full / 4)
+        return max(level for level, _ in levels) >= REACHED * full and between < min(above, self._tally.total - above)
 
     def _share(self, coding: Coding) -> float:
         """Of all pixels of the recording that are instrument."""

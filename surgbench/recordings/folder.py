@@ -165,11 +165,29 @@ def _read_arms(
     path: Path, columns: tuple[str, ...], numbers: list[int], arms: Sequence[str], maskless: set[int], *, complete: bool
 ) -> dict[str, FloatArray] | None:
     """A table with the columns of each arm, by arm; ``None`` where there is no such file."""
+    _check_arms(path, columns, arms)
     names = columns if len(arms) == 1 else tuple(f"{arm}_{column}" for arm in arms for column in columns)
     values = read_table(path, names, numbers, complete=complete, maskless=maskless)
     if values is None:
         return None
     return dict(zip(arms, np.split(values, len(arms), axis=1), strict=True))
+
+
+def _check_arms(path: Path, columns: tuple[str, ...], arms: Sequence[str]) -> None:
+    """See that a table of two arms is not read as one of one, nor the other way round."""
+    try:
+        with path.open(encoding="utf-8-sig") as file:
+            header = [cell.strip() for cell in file.readline().split(",")]
+    except (OSError, UnicodeDecodeError):
+        return  # who reads it says so
+    if len(arms) == 1 and f"left_{columns[0]}" in header:
+        raise DatasetError(
+            f"{path}: has columns of two arms; say --instances 1=left,2=right or --arms both, as the masks are"
+        )
+    if len(arms) > 1 and columns[0] in header:
+        raise DatasetError(
+            f"{path}: has columns of one arm; those of two are {arms[0]}_{columns[0]}, ..., {arms[1]}_{columns[-1]}"
+        )
 
 
 def _pixels(path: Path, values: FloatArray, numbers: list[int], camera: Camera) -> FloatArray:

@@ -33,6 +33,12 @@ def brightest(code: int) -> int:
     return code if code < COLOUR else max(code >> shift & _LARGEST for shift in (0, _BITS, 2 * _BITS))
 
 
+def colourfulness(code: int) -> int:
+    """By how much the channels of a pixel differ; 0 of a grey one."""
+    parts = [code >> shift & _LARGEST for shift in (0, _BITS, 2 * _BITS)]
+    return 0 if code < COLOUR else max(parts) - min(parts)
+
+
 def pixel_codes(plane: NDArray[Any]) -> NDArray[Any]:
     """``(height, width)`` numbers of pixels, see :func:`colour_code`.
 

@@ -22,6 +22,8 @@ _EPOCH_S = (946_684_800, 4_102_444_800)
 _NUMBER = re.compile(r"(\d{9,10})\.(\d{1,9})(?!\d)|(\d{9,10})_(\d{9})(?!\d)|(\d+)")
 # A number this many steps away, and further than this many times all that the others span, belongs to no recording.
 _STRAY_STEPS, _STRAY_SPANS = 1000, 10
+# No more than one in so many numbers: a recording in two takes has many on both sides of a long gap.
+_FEW = 20
 
 
 @dataclass(frozen=True)
@@ -83,7 +85,8 @@ def check_stray(paths: dict[int, Path]) -> None:
     widest, step = int(np.argmax(gaps)), float(np.median(gaps))
     before, after = numbers[: widest + 1], numbers[widest + 1 :]
     span = max(before[-1] - before[0], after[-1] - after[0])
-    if gaps[widest] <= max(_STRAY_STEPS * step, _STRAY_SPANS * span):
+    few = min(len(before), len(after)) <= max(1, len(numbers) // _FEW)
+    if not few or gaps[widest] <= max(_STRAY_STEPS * step, _STRAY_SPANS * span):
         return
     stray, others = (after[0], before) if len(after) <= len(before) else (before[-1], after)
     raise DatasetError(

@@ -48,15 +48,17 @@ def imported(source: Path, *options: object) -> Sequence:
 def test_instances_become_masks_of_two_arms(source: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for frame in range(3):
         put(source / f"masks/{frame:06d}.png", tool(frame) + 2 * tool(frame, 30))
-    (source / "joints.csv").write_text(
-        "frame,left_q1,left_q2,left_q3,right_q1,right_q2,right_q3\n"
-        + "".join(f"{frame},0.1,0.2,0.3,0.4,0.5,0.6\n" for frame in range(3))
+    two = "frame,left_q1,left_q2,left_q3,right_q1,right_q2,right_q3\n" + "".join(
+        f"{frame},0.1,0.2,0.3,0.4,0.5,0.6\n" for frame in range(3)
     )
     surgbench("import", "masks", source, "--out", source.with_name("data"), expect=2)
     error = capsys.readouterr().err
     assert "--instances 1=left,2=right" in error
     assert error.count("\n") == 1
     assert not source.with_name("data").exists()
+    (source / "joints.csv").write_text(two)
+    surgbench("import", "masks", source, "--out", source.with_name("data"), expect=2)
+    assert "joints.csv: has columns of two arms; say --instances" in capsys.readouterr().err
     sequence = imported(source, "--instances", "1=left,2=right")
     assert "3 masks, values {0, 1, 2}, 1=left,2=right, " in capsys.readouterr().err
     assert sequence.arms == ("left", "right")
@@ -160,22 +162,37 @@ def enter(source: Path, frames: int, first: int) -> Path:
     return source.with_name("data")
 
 
+AHEAD = """
+import numpy as np
+
+class Ahead:
+    name = "ahead"
+    needs_truth = False
+
+    def initialise(self, scene, observation, rng, truth, progress):
+        assert observation.mask.any(), "nothing to start from"
+        return np.array([0, 0, 0, 0, 0, 0.1 + 0.01 * observation.index, 0, 0, 0])
+"""
+
+
 @pytest.mark.slow
 def test_an_instrument_that_enters_late_is_waited_for(source: Path, tmp_path: Path) -> None:
     data = enter(source, 6, 3)
-    arguments = ("--dataset", data, "--tracker", "cmaes", "--initialiser", "random", "--out", tmp_path / "runs")
-    small = ("--set", "random.samples=64", "--set", "cmaes.population=70", "--set", "cmaes.iterations=1")
-    surgbench(*RUN, *arguments, *small)
-    ((record),) = records(tmp_path / "runs")
+    (tmp_path / "ahead.py").write_text(AHEAD)
+    plugins = ("--tracker", f"{STRANGERS}:Still", "--initialiser", f"{tmp_path / 'ahead.py'}:Ahead", "--filter", "none")
+    surgbench(*RUN, "--dataset", data, *plugins, "--out", tmp_path / "runs")
+    (record,) = records(tmp_path / "runs")
     frames = record["frames"]
     assert record["status"] == "ok"
     assert frames["index"] == list(range(6))
     assert frames["lost"][:3] == [True] * 3
+    assert frames["state"][3][5] == pytest.approx(0.13)  # found in frame 3
     assert frames["latency_ms"][:3] == [None] * 3
     assert all(latency > 0 for latency in frames["latency_ms"][3:])
     assert record["errors"]["mask_error"][:3] == [None] * 3
     assert all(error is not None for error in record["errors"]["mask_error"][3:])
-    (tmp_path / "runs/._a-r0.json").write_bytes(b"\0\5\26\7")
+    (path,) = (tmp_path / "runs").rglob("*-r0.json")
+    path.with_name("._000-r0.json").write_bytes(b"\0\5\26\7")
     (tmp_path / "runs/.DS_Store").write_bytes(b"x")
     surgbench("report", tmp_path / "runs")
 
@@ -186,5 +203,5 @@ def test_where_nothing_ever_shows_the_run_fails_in_one_line(source: Path, tmp_pa
     still: Any = f"{STRANGERS}:Still"
     command = (*RUN, "--dataset", data, "--tracker", still, "--frames", 3, "--out", tmp_path / "runs")
     surgbench(*command, expect=1)
-    ((record),) = records(tmp_path / "runs")
+    (record,) = records(tmp_path / "runs")
     assert record["error"] == "frame 0: no instrument shows in any of 3 masks: nothing to start from"
