@@ -166,6 +166,8 @@ def read_jaws(folder: Path, frames: int) -> dict[str, FloatArray] | None:
 def _camera(path: Path, parser: configparser.ConfigParser, section: str) -> Camera:
     names = {"width": "res_x", "height": "res_y", "fx": "fc_x", "fy": "fc_y", "cx": "cc_x", "cy": "cc_y"}
     content: dict[str, Any] = {key: _number(path, parser, section, name) for key, name in names.items()}
+    # Sizes may be written with a point; a broken pixel is refused.
+    content |= {key: int(content[key]) for key in ("width", "height") if content[key].is_integer()}
     coefficients: list[float] = []
     while parser.has_option(section, f"kc_{len(coefficients)}"):
         coefficients.append(_number(path, parser, section, f"kc_{len(coefficients)}"))
