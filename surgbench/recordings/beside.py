@@ -27,7 +27,7 @@ class RobotArmOption(Section):
     robot_arm: Annotated[
         str,
         Field(
-            description="ARM whose six joints the recording has: a name (surgbench list arms), or an arm's file; "
+            description="ARM: Whose six joints the recording has: a name (surgbench list arms), or an arm's file; "
             "default: classic_400006."
         ),
     ] = DEFAULT_ARM
