@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import Field
 
 from surgbench.camera.options import CameraOptions
-from surgbench.contract import Plugin
+from surgbench.contract import Mask, Plugin
 from surgbench.dataset.storage import check_new
 from surgbench.errors import ConfigError
 from surgbench.exchange.mask_options import MaskOptions
@@ -154,7 +154,7 @@ class _Reading:
         recording = self._recording
         found = self._coding.masks(next(self._pictures))
         self.shares.add(np.logical_or.reduce(list(found.values())), recording.numbers[index])
-        masks = {kind: found[WHOLE if WHOLE in found else kind] for kind in self._kinds}
+        masks: dict[str, Mask] = {kind: found[WHOLE if WHOLE in found else kind] for kind in self._kinds}
         if recording.images is None:
             return Shot(masks)
         camera = recording.camera

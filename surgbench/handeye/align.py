@@ -122,7 +122,7 @@ def _search(frames: Frames, max_lag_frames: int) -> int:
 def _cost(frames: Frames, lag_frames: int) -> float:
     """What the best transform leaves at a lag; infinite where too few frames have a reading."""
     arm = frames.arm(lag_frames)
-    there = np.isfinite(arm).all(axis=(1, 2))
+    there = np.asarray(np.isfinite(arm).all(axis=(1, 2)))
     if there.sum() < max(LEAST_SHARE * len(there), 2):
         return float("inf")
     tracked, arm = frames.tracked[there], arm[there]

@@ -127,7 +127,7 @@ def read_beside(
         {arm: unseen if one is None else one for arm, one in points.items()}
         if any(one is not None for one in points.values())
         else None,
-        tuple(one.note for one in (*readings.values(), *tips.values())),
+        (*(one.note for one in readings.values()), *(one.note for one in tips.values())),
     )
 
 

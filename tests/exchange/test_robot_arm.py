@@ -51,6 +51,7 @@ def test_an_arm_of_ones_own_is_kept_in_the_dataset(source: Path) -> None:
     (sequence,) = imported(source, "--robot-arm", mine).sequences
     mine.unlink()
     poses = sequence.arm_poses("left")
+    assert poses is not None
     np.testing.assert_array_equal(poses, load_arm("classic_420006").forward(JOINTS))
     assert not np.allclose(poses, load_arm("classic_400006").forward(JOINTS))
 
