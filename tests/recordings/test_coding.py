@@ -32,6 +32,7 @@ class Given:
 
     def __init__(self, *pictures: NDArray[Any], lossy: str | None = None, several: str | None = None) -> None:
         self.place = Path("masks")
+        self.size = (SHAPE[1], SHAPE[0])
         self.numbers = list(range(len(pictures)))
         self.names = [str(number) for number in self.numbers]
         self.times_s: FloatArray | None = None

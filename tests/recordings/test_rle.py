@@ -21,7 +21,7 @@ def runs(mask: np.ndarray) -> list[int]:
     """Lengths of runs down the columns, the first of zeros."""
     flat = mask.T.ravel()
     edges = np.flatnonzero(np.diff(np.concatenate([[0], flat.astype(int), [1 - int(flat[-1])]])))
-    return np.diff(np.concatenate([[0], edges])).tolist()
+    return [int(length) for length in np.diff(np.concatenate([[0], edges]))]
 
 
 def text(counts: list[int]) -> str:
