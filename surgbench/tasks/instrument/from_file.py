@@ -158,7 +158,7 @@ class _File:
 
     def send(self, kind: str, *content: Any) -> None:
         if kind == "first":
-            self._answer = ("initialised", 0.0, np.concatenate([arm.states[0] for arm in self._arms]))
+            self._answer = ("initialised", np.concatenate([arm.states[0] for arm in self._arms]), 0.0)
         elif kind == "step":
             self._answer = ("answer", self._step(content[0]))
 
