@@ -78,7 +78,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
     epilog="Example: surgbench generate mini --out data/mini && surgbench run --dataset data/mini --tracker cmaes",
 )
-check_app = typer.Typer(no_args_is_help=True, help="See whether a plug-in keeps the rules.", rich_markup_mode=None)
+check_app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 
 
 def _version(asked: bool) -> None:

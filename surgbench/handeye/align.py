@@ -23,9 +23,10 @@ SEARCH_FRAMES = 300
 REFINED_FRAMES = 2.0
 # Scales are taken anew after the first of so many refinements.
 REFINEMENTS = 2
-# Residuals of frames that are no further apart than this are taken to be alike, for the interval.
-CORRELATED_FRAMES = 60
-INTERVAL_SIGMAS = 1.96
+# For the interval of 95 %, residuals are taken to be alike over as much as this share of all frames; and what the normal
+# 1.96 becomes where so much is taken from so little (Kiefer and Vogelsang 2005, Bartlett's kernel).
+CORRELATED_SHARE = 0.5
+INTERVAL_SIGMAS = 3.48
 
 LAG = 6  # of the parameters: turn, shift, lag, stretch
 PARAMETERS = 11
@@ -151,11 +152,23 @@ def _refine(frames: Frames, start: Alignment, lag_frames: int, scales: Scales) -
     lower[LAG], upper[LAG] = (lag_frames + side * REFINED_FRAMES - start.lag_frames for side in (-1, 1))
     begin = np.zeros(PARAMETERS)
     begin[LAG] = np.clip(0.0, lower[LAG] + 1e-6, upper[LAG] - 1e-6)
-    solution = least_squares(off, begin, bounds=(lower, upper), loss="cauchy", x_scale=1.0, xtol=1e-6, max_nfev=40)
+    solution = least_squares(off, begin, bounds=(lower, upper), loss=_loss, x_scale=1.0, xtol=1e-6, max_nfev=40)
     change = np.asarray(solution.x, dtype=np.float64)
     found = at(change)
     half = INTERVAL_SIGMAS * _lag_deviation(off, change, lower, upper)
     return replace(found, interval_frames=(found.lag_frames - half, found.lag_frames + half))
+
+
+def _loss(squares: FloatArray) -> FloatArray:
+    """Cauchy's loss of squared residuals ``(m,)`` and its first two derivatives, ``(3, m)``; plain squares of the last.
+
+    These are what is expected of the cables, of which there are no outliers.
+    """
+    wide = 1.0 + squares
+    found = np.stack([np.log(wide), 1.0 / wide, -1.0 / wide**2])
+    plain = slice(len(squares) - len(USUAL), None)
+    found[:, plain] = np.stack([squares[plain], np.ones(len(USUAL)), np.zeros(len(USUAL))])
+    return found
 
 
 def _lag_deviation(
@@ -163,7 +176,8 @@ def _lag_deviation(
 ) -> float:
     """Standard deviation of the lag, in frames: the sandwich of an M-estimator with scores that are correlated.
 
-    Newey and West's weights fall to nothing over ``CORRELATED_FRAMES``.
+    Newey and West's weights fall to nothing over ``CORRELATED_SHARE`` of the frames: what an arm's readings are off by
+    drifts slowly.
     """
     columns = []
     for which, step in enumerate(STEPS):
@@ -172,14 +186,15 @@ def _lag_deviation(
         behind[which] = max(change[which] - step, lower[which])
         columns.append((off(ahead) - off(behind)) / (ahead[which] - behind[which]))
     jacobian, left = np.stack(columns, axis=1), off(change)
-    # Cauchy's loss: the score of a residual r is r / (1 + r²).
-    slope = (1.0 - left**2) / (1.0 + left**2) ** 2
-    score = (left / (1.0 + left**2))[:, None] * jacobian
+    _, first, second = _loss(left**2)
+    slope = first + 2.0 * second * left**2
+    score = (first * left)[:, None] * jacobian
     stretch, score = jacobian[-len(USUAL) :], score[: -len(USUAL)].reshape(-1, 6, PARAMETERS).sum(axis=1)
     # What is expected of the cables is as uncertain as it is firm.
     meat = score.T @ score + stretch.T @ stretch
-    for apart in range(1, min(CORRELATED_FRAMES, len(score))):
+    reach = CORRELATED_SHARE * len(score)
+    for apart in range(1, int(np.ceil(reach))):
         pairs = score[apart:].T @ score[:-apart]
-        meat += (1.0 - apart / CORRELATED_FRAMES) * (pairs + pairs.T)
+        meat += (1.0 - apart / reach) * (pairs + pairs.T)
     bread = np.linalg.pinv((slope[:, None] * jacobian).T @ jacobian)
     return float(np.sqrt(max((bread @ meat @ bread)[LAG, LAG], 0.0)))
