@@ -23,8 +23,8 @@ SEARCH_FRAMES = 300
 REFINED_FRAMES = 2.0
 # Scales are taken anew after the first of so many refinements.
 REFINEMENTS = 2
-# For the interval of 95 %, residuals are taken to be alike over as much as this share of all frames; and what the normal
-# 1.96 becomes where so much is taken from so little (Kiefer and Vogelsang 2005, Bartlett's kernel).
+# For the interval of 95 %, residuals are taken to be alike over as much as this share of all frames; and what the
+# normal 1.96 becomes where so much is taken from so little (Kiefer and Vogelsang 2005, Bartlett's kernel).
 CORRELATED_SHARE = 0.5
 INTERVAL_SIGMAS = 3.48
 
