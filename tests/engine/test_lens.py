@@ -19,7 +19,7 @@ from surgbench.generators.lens import Lens as MaskLens
 from surgbench.geometry import FloatArray
 from surgbench.viewpoint.optics.calibration import displacement_px
 
-SIZE = {"width": 640, "height": 512}
+SIZE: dict[str, Any] = {"width": 640, "height": 512}
 # In OpenCV's order: how large each coefficient may be.
 BOUNDS = (0.35, 0.15, 0.004, 0.004, 0.05, 0.2, 0.1, 0.05, 0.01, 0.01, 0.01, 0.01, 0.06, 0.06)
 
@@ -29,7 +29,7 @@ def lenses(draw: st.DrawFn, counts: tuple[int, ...] = (4, 5, 8, 12, 14), fisheye
     """Cameras of fields of view of 40 to 105 degrees, with lenses of every model, folding ones among them."""
     focal = draw(st.floats(310, 900))
     place = {"cx": draw(st.floats(250, 390)), "cy": draw(st.floats(200, 310))}
-    intrinsics = {**SIZE, "fx": focal, "fy": focal * draw(st.floats(0.95, 1.05)), **place}
+    intrinsics: dict[str, Any] = {**SIZE, "fx": focal, "fy": focal * draw(st.floats(0.95, 1.05)), **place}
     if fisheye and draw(st.booleans()):
         bent = draw(st.tuples(*[st.floats(-0.03, 0.03)] * 4))
         return Camera(**intrinsics, distortion=bent, distortion_model="fisheye")
@@ -48,7 +48,7 @@ def border(camera: Camera) -> FloatArray:
 
 
 def tangents(camera: Camera, straight: FloatArray) -> FloatArray:
-    return np.hypot(*np.moveaxis((straight - [camera.cx, camera.cy]) / [camera.fx, camera.fy], -1, 0))
+    return np.asarray(np.hypot(*np.moveaxis((straight - [camera.cx, camera.cy]) / [camera.fx, camera.fy], -1, 0)))
 
 
 @settings(max_examples=25)
