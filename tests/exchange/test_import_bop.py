@@ -47,7 +47,8 @@ def put_articulated(root: Path) -> Path:
         for number, link in enumerate(LINKS, start=1)
     }
     put_json(root / "models/objects.json", about)
-    joints, entries = {}, {}
+    joints: dict[str, Any] = {}
+    entries: dict[str, list[dict[str, Any]]] = {}
     for frame in range(FRAMES):
         joints[str(frame)] = [{"arm": arm, "state": STATES[arm][frame].tolist()} for arm in ("right", "left")]
         entries[str(frame)] = []
@@ -78,9 +79,9 @@ def test_objects_become_arms(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     np.testing.assert_allclose(sequence.timestamps_s, [0.0, 0.1])
     assert np.array_equal(sequence.mask("right", 1), bar(1, 4))
     assert np.array_equal(sequence.mask("left", 1), bar(1, 14))
-    image = sequence.image(1)
-    assert image is not None
-    assert image.mean() == pytest.approx(30, abs=2)
+    picture = sequence.image(1)
+    assert picture is not None
+    assert picture.mean() == pytest.approx(30, abs=2)
 
 
 def test_one_object_twice_is_told_apart_by_order(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -147,5 +148,5 @@ def test_what_is_exported_comes_back(tmp_path: Path) -> None:
     surgbench("export", first.path, "--format", "bop", "--out", tmp_path / "bop")
     second: InstrumentDataset = imported("bop", tmp_path / "bop", out=tmp_path / "second")
     for arm in ("left", "right"):
-        np.testing.assert_array_equal(second.sequences[0].states(arm), STATES[arm])  # type: ignore[arg-type]
+        np.testing.assert_array_equal(second.sequences[0].states(arm), STATES[arm])
     assert second.sequences[0].camera == first.sequences[0].camera

@@ -199,7 +199,7 @@ def test_a_lag_moves_readings_and_is_kept(source: Path, tmp_path: Path) -> None:
         "000000": {"right": 2.0},
         "000031": {"left": -1.0},
     }
-    first, last = (one.readings(arm) for one, arm in zip(dataset.sequences, ("right", "left"), strict=True))
+    first, last = dataset.sequences[0].readings("right"), dataset.sequences[1].readings("left")
     assert first is not None
     assert last is not None
     np.testing.assert_allclose(first[:3, 0], [joints_of("PSM1", frame)[4] for frame in (2, 3, 4)])
