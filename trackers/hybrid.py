@@ -39,9 +39,11 @@ from surgbench.trackers.registration.proposals import (
     sweep_jaws,
 )
 
-# Per second (squared): how fast hands move such an instrument.
-ACCELERATION = np.array([4.0, 12.0, 4.0, 0.4, 0.4, 0.4, 8.0, 8.0, 6.0])
+# Per second (squared): how fast hands move such an instrument. Its jaws turn together more than they open: where one is
+# hidden behind the other, it goes with that one.
+ACCELERATION = np.array([4.0, 12.0, 4.0, 0.4, 0.4, 0.4, 8.0, 8.0, 2.5])
 VELOCITY = np.array([0.3, 1.0, 0.3, 0.02, 0.02, 0.02, 0.5, 0.5, 0.3])
+SETTLING_S = np.array([*[np.inf] * 8, 0.5])
 # How well the first state, or a hypothesis just found, is known; and how well a drawn one is.
 FOUND = np.array([0.01, 0.05, 0.03, 5e-4, 5e-4, 1e-3, 0.05, 0.05, 0.05])
 DRAWN = np.array([0.1, 1.0, 0.2, 5e-3, 5e-3, 2e-2, 1.0, 1.0, 1.0])
@@ -171,6 +173,7 @@ class HybridTracker(InstrumentTracker):
             config.reading_bias_rad,
             config.reading_drift_rad,
             self._fit.shape.scale,
+            np.tile(SETTLING_S, scene.arms),
         )
         belief.restart(state, self._found)
         self._hypotheses = [Hypothesis(belief, np.array(state), 0.0)]

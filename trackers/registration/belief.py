@@ -30,6 +30,7 @@ class MotionBelief:
         bias_drift_rad: How much they change from frame to frame.
         shape_scale: ``(m,)`` natural step of each unknown of the shape, its standard deviation before the first
             frame; none unless told.
+        settling_s: ``(n,)`` seconds in which a velocity that no frame tells of falls to 1/e; it stays unless told.
     """
 
     def __init__(
@@ -41,6 +42,7 @@ class MotionBelief:
         bias_rad: float,
         bias_drift_rad: float,
         shape_scale: FloatArray = NO_SHAPE,
+        settling_s: FloatArray | float = np.inf,
     ) -> None:
         n = len(scale)
         self._scale = scale
@@ -54,6 +56,7 @@ class MotionBelief:
         self._told_scale = np.concatenate([scale, shape_scale])
         self._transition = np.eye(size)
         self._transition[:n, n : 2 * n] = dt_s * np.eye(n)
+        self._transition[n : 2 * n, n : 2 * n] = np.exp(-dt_s / settling_s) * np.eye(n)
         # An acceleration a that is constant over a frame moves the value by a dt²/2 and the velocity by a dt.
         push = np.array([[dt_s**4 / 4, dt_s**3 / 2], [dt_s**3 / 2, dt_s**2]])
         self._process = np.zeros((size, size))
