@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any, cast
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -152,7 +153,9 @@ def _refine(frames: Frames, start: Alignment, lag_frames: int, scales: Scales) -
     lower[LAG], upper[LAG] = (lag_frames + side * REFINED_FRAMES - start.lag_frames for side in (-1, 1))
     begin = np.zeros(PARAMETERS)
     begin[LAG] = np.clip(0.0, lower[LAG] + 1e-6, upper[LAG] - 1e-6)
-    solution = least_squares(off, begin, bounds=(lower, upper), loss=_loss, x_scale=1.0, xtol=1e-6, max_nfev=40)
+    solution = least_squares(
+        off, begin, bounds=(lower, upper), loss=cast(Any, _loss), x_scale=1.0, xtol=1e-6, max_nfev=40
+    )
     change = np.asarray(solution.x, dtype=np.float64)
     found = at(change)
     half = INTERVAL_SIGMAS * _lag_deviation(off, change, lower, upper)
