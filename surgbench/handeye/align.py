@@ -23,8 +23,8 @@ SEARCH_FRAMES = 300
 REFINED_FRAMES = 2.0
 # Scales are taken anew after the first of so many refinements.
 REFINEMENTS = 2
-# For the interval of 95 %, residuals are taken to be alike over as much as this share of all frames; and what the normal
-# 1.96 becomes where so much is taken from so little (Kiefer and Vogelsang 2005, Bartlett's kernel).
+# For the interval of 95 %, residuals are taken to be alike over as much as this share of all frames; and what the
+# normal 1.96 becomes where so much is taken from so little (Kiefer and Vogelsang 2005, Bartlett's kernel).
 CORRELATED_SHARE = 0.5
 INTERVAL_SIGMAS = 3.48
 
@@ -124,7 +124,7 @@ def _cost(frames: Frames, lag_frames: int) -> float:
     """What the best transform leaves at a lag; infinite where too few frames have a reading."""
     arm = frames.arm(lag_frames)
     there = np.isfinite(arm).all(axis=(1, 2))
-    if there.sum() < max(LEAST_SHARE * len(there), 2):
+    if there.sum() < max(LEAST_SHARE * len(arm), 2):
         return float("inf")
     tracked, arm = frames.tracked[there], arm[there]
     return float(costs(robust_fit(tracked, arm, NOMINAL), tracked, arm, NOMINAL))
@@ -142,7 +142,7 @@ def _refine(frames: Frames, start: Alignment, lag_frames: int, scales: Scales) -
         turn = rotation_from_vector(scales.rotation_rad * change[:3]) @ start.T_cam_base[:3, :3]
         place = middle_cam + scales.translation_m * change[3:6]
         stretch = start.stretch + change[LAG + 1 :] * USUAL
-        return Alignment(start.lag_frames + change[LAG], rigid_transform(turn, place - turn @ middle), stretch)
+        return Alignment(float(start.lag_frames + change[LAG]), rigid_transform(turn, place - turn @ middle), stretch)
 
     def off(change: FloatArray) -> FloatArray:
         found = at(change)
@@ -152,7 +152,15 @@ def _refine(frames: Frames, start: Alignment, lag_frames: int, scales: Scales) -
     lower[LAG], upper[LAG] = (lag_frames + side * REFINED_FRAMES - start.lag_frames for side in (-1, 1))
     begin = np.zeros(PARAMETERS)
     begin[LAG] = np.clip(0.0, lower[LAG] + 1e-6, upper[LAG] - 1e-6)
-    solution = least_squares(off, begin, bounds=(lower, upper), loss=_loss, x_scale=1.0, xtol=1e-6, max_nfev=40)
+    solution = least_squares(
+        off,
+        begin,
+        bounds=(lower, upper),
+        loss=_loss,  # type: ignore[arg-type]  # the stubs ask for a keyword that SciPy never gives
+        x_scale=1.0,
+        xtol=1e-6,
+        max_nfev=40,
+    )
     change = np.asarray(solution.x, dtype=np.float64)
     found = at(change)
     half = INTERVAL_SIGMAS * _lag_deviation(off, change, lower, upper)

@@ -111,7 +111,7 @@ def was_given(readings: str, references: Mapping[str, str]) -> bool:
 def frames_that_count(lost: Iterable[bool], mask_errors: Iterable[Any]) -> NDArray[np.bool_]:
     """Frames to learn from, ``(n,)``: of which a tracker does not say that it is lost, and which show an instrument."""
     shown = [error is not None and not np.isnan(error) for error in mask_errors]
-    return ~np.array(list(lost), dtype=bool) & np.array(shown, dtype=bool)
+    return np.asarray(~np.array(list(lost), dtype=bool) & np.array(shown, dtype=bool))
 
 
 def _names_kinematics(modules: Iterable[str]) -> bool:
