@@ -145,8 +145,8 @@ def print_ranking(units: list[Unit]) -> None:
         judged, errors = unit.judged(0.0), unit.record.errors
         true = (np.nanmean(errors["rotation_error_rad"]), np.nanmean(errors["translation_error_m"]))
         left = (np.median(judged.rotation_rad), np.median(judged.translation_m), judged.lag_frames)
-        found[unit.record.spec.row_id].append([float(value) for value in (*true, *left)])
-    means = {name: np.mean(values, axis=0) for name, values in found.items()}
+        found[unit.record.spec.row_id].append(np.array([*true, *left], dtype=np.float64))
+    means = {name: np.mean(np.stack(values), axis=0) for name, values in found.items()}
     print("| row | rotation, rad: true | residual | translation, mm: true | residual | lag found, frames |")
     print("|---|---|---|---|---|---|")
     for name, (turn, place, turn_left, place_left, lag) in sorted(means.items(), key=lambda item: item[1][1]):

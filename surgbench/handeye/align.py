@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, cast
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -124,8 +123,8 @@ def _search(frames: Frames, max_lag_frames: int) -> int:
 def _cost(frames: Frames, lag_frames: int) -> float:
     """What the best transform leaves at a lag; infinite where too few frames have a reading."""
     arm = frames.arm(lag_frames)
-    there = np.asarray(np.isfinite(arm).all(axis=(1, 2)))
-    if there.sum() < max(LEAST_SHARE * len(there), 2):
+    there = np.isfinite(arm).all(axis=(1, 2))
+    if there.sum() < max(LEAST_SHARE * len(arm), 2):
         return float("inf")
     tracked, arm = frames.tracked[there], arm[there]
     return float(costs(robust_fit(tracked, arm, NOMINAL), tracked, arm, NOMINAL))
@@ -143,7 +142,7 @@ def _refine(frames: Frames, start: Alignment, lag_frames: int, scales: Scales) -
         turn = rotation_from_vector(scales.rotation_rad * change[:3]) @ start.T_cam_base[:3, :3]
         place = middle_cam + scales.translation_m * change[3:6]
         stretch = start.stretch + change[LAG + 1 :] * USUAL
-        return Alignment(start.lag_frames + change[LAG], rigid_transform(turn, place - turn @ middle), stretch)
+        return Alignment(float(start.lag_frames + change[LAG]), rigid_transform(turn, place - turn @ middle), stretch)
 
     def off(change: FloatArray) -> FloatArray:
         found = at(change)
@@ -154,7 +153,13 @@ def _refine(frames: Frames, start: Alignment, lag_frames: int, scales: Scales) -
     begin = np.zeros(PARAMETERS)
     begin[LAG] = np.clip(0.0, lower[LAG] + 1e-6, upper[LAG] - 1e-6)
     solution = least_squares(
-        off, begin, bounds=(lower, upper), loss=cast(Any, _loss), x_scale=1.0, xtol=1e-6, max_nfev=40
+        off,
+        begin,
+        bounds=(lower, upper),
+        loss=_loss,  # type: ignore[arg-type]  # the stubs ask for a keyword that SciPy never gives
+        x_scale=1.0,
+        xtol=1e-6,
+        max_nfev=40,
     )
     change = np.asarray(solution.x, dtype=np.float64)
     found = at(change)

@@ -81,14 +81,21 @@ def print_judged(judged: Sequence[Judged], console: Console) -> None:
     from rich.text import Text
 
     sheet = Table(box=box.SIMPLE_HEAD, padding=0, pad_edge=False)
-    headings = ("row", "unit", "arm", "frames", "lag of readings\nframes (95 %)", "rotation\n° (90 %)")
-    for heading in (*headings, "translation\nmm (90 %)", "motion\n°, mm", "tells lag\nto frames"):
-        sheet.add_column(Text(heading), justify="left" if heading in headings[:3] else "right", overflow="fold")
+    names = ("row", "unit")
+    headings = ("frames", "lag\nframes", "rot.\n°", "90 %\n°", "trans.\nmm", "90 %\nmm", "motion\n°, mm")
+    for heading in (*names, *headings):
+        is_name = heading in names
+        sheet.add_column(Text(heading), justify="left" if is_name else "right", no_wrap=not is_name, overflow="fold")
     for one in judged:
         if one.found is not None:
-            sheet.add_row(*map(Text, (one.row_id, one.unit, one.arm, *_cells(one.found))))
+            unit = one.unit if one.unit.endswith(one.arm) else f"{one.unit} {one.arm}"
+            sheet.add_row(*map(Text, (one.row_id, unit, *_cells(one.found))))
     console.print(sheet)
-    console.print(Text("A lag above 0: the readings are late. Residuals are medians; hand-eye: --format json."))
+    for line in (
+        "lag: above 0 the readings are late, with its interval of 95 %; rot., trans.: what is left, the median.",
+        "The hand-eye transform and all digits: --format csv or json.",
+    ):
+        console.print(Text(line), soft_wrap=True)
 
 
 def _cells(found: HandEye) -> tuple[str, ...]:
@@ -96,9 +103,7 @@ def _cells(found: HandEye) -> tuple[str, ...]:
     turned, moved = np.degrees(found.rotation_rad), 1e3 * found.translation_m
     return (
         str(found.frames),
-        f"{found.lag_frames:+.2f} ({low:+.2f} to {high:+.2f})",
-        f"{np.median(turned):.2f} ({np.percentile(turned, 90):.2f})",
-        f"{np.median(moved):.2f} ({np.percentile(moved, 90):.2f})",
-        f"{np.degrees(found.motion.rotation_rad):.0f}, {1e3 * found.motion.translation_m:.1f}",
-        f"{found.motion.resolution_frames:.1f}",
+        f"{found.lag_frames:+.2f} ± {(high - low) / 2:.2f}",
+        *(f"{value:.2f}" for one in (turned, moved) for value in (np.median(one), np.percentile(one, 90))),
+        f"{np.degrees(found.motion.rotation_rad):.0f}, {1e3 * found.motion.translation_m:.0f}",
     )

@@ -102,7 +102,8 @@ def test_noise_twins_slips_and_gaps(seed: int) -> None:
     found = estimate_hand_eye(FRAMES * DT_S, tracked, readings, DT_S, max_lag_frames=MAX_LAG)
     assert found.lag_frames == pytest.approx(4.0, abs=0.5)
     low, high = found.lag_interval_frames
-    assert low < found.lag_frames < high < low + 2.0
+    assert low < found.lag_frames < high < low + 3.0
+    assert low < 4.0 < high
     off = apart(found.T_cam_base, T_CAM_BASE, found.middle_base_m)
     assert off.rotation_rad < np.radians(1.0)
     assert off.translation_m < 0.001
@@ -128,8 +129,9 @@ def test_stretched_cables_are_no_lag() -> None:
     tracked = noisy(T_CAM_BASE @ arm(FRAMES), 0.005, 0.0002, np.random.default_rng(0))
     found = estimate_hand_eye(FRAMES * DT_S, tracked, CLASSIC_400006.forward(read), DT_S, max_lag_frames=MAX_LAG)
     assert found.lag_frames == pytest.approx(0.0, abs=0.15)
-    # Roll, about whose axis the wrist's place tells nothing, is the least sure.
-    assert ((found.stretch / stretch > 0.5) & (found.stretch / stretch < 1.3)).all()
+    share = found.stretch / stretch
+    assert ((share[:3] > 0.7) & (share[:3] < 1.2)).all()
+    assert 0.2 < share[3] < 1.2  # of roll the wrist's place tells nothing
 
 
 RESTING = {

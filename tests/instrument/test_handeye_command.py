@@ -212,7 +212,10 @@ def test_a_run_that_was_given_the_answer_is_not_judged(
     assert not set(JUDGED) & set(cheat["errors"])
     assert good["errors"]["lag_frames"][0] == pytest.approx(LAG, abs=0.3)
     surgbench("handeye", out, "--row", "cheat-joints", expect=2)
-    assert "was given the arm's readings, by which it can't be judged" in capsys.readouterr().err
+    assert (
+        "was given the arm's readings (--joints) and names them in its code: it can't be judged by them"
+        in capsys.readouterr().err
+    )
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,7 @@ from surgbench.tasks.instrument.format import Arm
 from surgbench.tasks.instrument.judge import frames_that_count, judge, was_given
 from surgbench.tasks.instrument.records import InstrumentRecord
 
-GIVEN = "was given the arm's readings, by which it can't be judged; run it without --joints"
+GIVEN = "was given the arm's readings (--joints) and names them in its code: it can't be judged by them"
 
 
 def hand_eye(
