@@ -11,6 +11,8 @@ EXTRAS = {
     "turbo": ("botorch", "gpytorch"),
     "onnx": ("onnx", "onnxruntime"),
     "plots": ("matplotlib",),
+    "video": ("av",),
+    "readers": ("evo", "mlcroissant", "pycocotools"),
     "bench": ("embreex", "moderngl", "open3d"),
 }
 # Distributions that are not called as their modules are.

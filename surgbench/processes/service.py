@@ -32,8 +32,8 @@ def serve_parent(answer: Answer) -> None:
     end_with_parent(os.getppid())
     # Ctrl-C is the parent's to handle; what a plug-in prints must not end up in the command's output.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    print_whatever_comes()  # before stdout is another file: the stream may believe that it can seek in it
     os.dup2(2, 1)
-    print_whatever_comes()
     line = int(sys.argv[1])
     os.set_inheritable(line, False)  # a program that a plug-in starts would hold it open
     serve(Connection(line), answer)
