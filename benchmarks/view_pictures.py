@@ -88,9 +88,9 @@ def photograph(camera: Camera, T_world_camera: FloatArray) -> Picture:
         cy=FINER * (camera.cy + MARGIN_PX),
     )
     ideal = draw(wide, inverse_transform(T_world_camera))
-    pixels = np.stack(np.meshgrid(np.arange(camera.width), np.arange(camera.height)), axis=-1).astype(np.float32)
-    lens = np.array(camera.distortion or (0.0,) * 5)
-    seen = cv2.undistortPoints(pixels.reshape(-1, 1, 2), camera.matrix, lens, P=wide.matrix).reshape(pixels.shape)
+    pixels = np.stack(np.meshgrid(np.arange(float(camera.width)), np.arange(float(camera.height))), axis=-1)
+    # The middle of each pixel in the finer picture, which has its margin around.
+    seen = FINER * (camera.lens.undistort(pixels) + MARGIN_PX)
     # The camera's lens and its compression: what sharpening is for.
     soft = cv2.GaussianBlur(ideal, (0, 0), 1.1 * FINER)
     return np.asarray(cv2.remap(soft, seen.astype(np.float32), None, cv2.INTER_LINEAR), np.uint8)  # type: ignore[call-overload]

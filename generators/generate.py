@@ -30,7 +30,6 @@ from surgbench.generators.resumable import (
     blocks,
     configuration,
     ctrl_c_raises,
-    end_with_parent,
     generate,
     in_workers,
 )
@@ -38,6 +37,7 @@ from surgbench.generators.sequence import make_tables
 from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument, load_instrument, save_instrument
 from surgbench.instrument.files import INSTRUMENT_FILE
+from surgbench.processes.ending import end_worker_with_parent
 from surgbench.randomness import generator
 from surgbench.tasks.instrument.format import (
     ARMS,
@@ -374,7 +374,7 @@ def _start_worker(plan: Plan, out: Path, stop: ctypes.c_bool) -> None:
         stop: Shared; once true, the worker renders nothing after the frame in hand.
     """
     global _worker
-    end_with_parent()
+    end_worker_with_parent()
     _worker = _Worker(plan, out, threads=1, stop=stop)
 
 

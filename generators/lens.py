@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 
 from surgbench.camera import Camera
@@ -10,7 +9,7 @@ from surgbench.dataset.masks import Mask
 
 
 class Lens:
-    """Turns masks of a pinhole camera into those of a camera with distortion (OpenCV's model).
+    """Turns masks of a pinhole camera into those of a camera with distortion (OpenCV's models).
 
     Args:
         camera: With or without distortion.
@@ -20,15 +19,15 @@ class Lens:
     """
 
     def __init__(self, camera: Camera) -> None:
-        self.pinhole = camera.model_copy(update={"distortion": ()})
+        self.pinhole = camera.pinhole
         self._columns = self._rows = None
-        if not any(camera.distortion):
+        if not camera.is_distorted:
             return
         rows, columns = np.mgrid[: camera.height, : camera.width]
-        centres = np.stack([columns, rows], axis=-1).reshape(-1, 1, 2).astype(np.float64)
-        matrix, coefficients = camera.matrix, np.array(camera.distortion)
-        straight = np.asarray(cv2.undistortPoints(centres, matrix, coefficients, P=matrix))
-        nearest = np.rint(straight.reshape(camera.height, camera.width, 2)).astype(np.intp)
+        straight = camera.lens.undistort(np.stack([columns, rows], axis=-1))
+        self._sees = np.isfinite(straight[..., 0])
+        # Where the lens sees nothing, any pixel does.
+        nearest = np.rint(np.nan_to_num(straight)).astype(np.intp)
         low = np.minimum(nearest.min(axis=(0, 1)), 0)
         high = np.maximum(nearest.max(axis=(0, 1)), [camera.width - 1, camera.height - 1])
         width, height = (int(size) for size in high - low + 1)
@@ -37,8 +36,8 @@ class Lens:
         self._columns, self._rows = np.moveaxis(nearest - low, -1, 0)
 
     def see(self, mask: Mask) -> Mask:
-        """The mask of the camera: each pixel's centre takes the nearest pixel of the pinhole's mask."""
+        """The mask of the camera: each pixel's centre takes the nearest of the pinhole's mask."""
         if self._columns is None:
             return mask
-        seen: Mask = mask[self._rows, self._columns]
+        seen: Mask = mask[self._rows, self._columns] & self._sees
         return seen

@@ -9,6 +9,7 @@ import numpy as np
 from pydantic import Field, SerializerFunctionWrapHandler, field_validator, model_serializer, model_validator
 
 from surgbench.camera import Camera
+from surgbench.camera.plausible import implausible
 from surgbench.config import SUFFIXES, Finite, NotNegative, Positive, Section, locate, parse_model, read_yaml
 from surgbench.errors import ConfigError, unknown_name
 from surgbench.generators.sections import Absences, Auxiliary, Correlation, Fraction, Kinematics, Mismatch
@@ -314,8 +315,10 @@ class Preset(Section):
 
     @model_validator(mode="after")
     def _possible(self) -> Preset:
-        if any(self.camera.distortion):
+        if self.camera.is_distorted:
             raise ValueError("camera.distortion must be left out or zero: a lens is in mismatch.distortion")
+        if problem := implausible(self.camera):
+            raise ValueError(f"camera.{problem}")
         if self.motion.lowpass_cutoff_hz >= 0.5 / self.dt_s:
             raise ValueError(f"motion.lowpass_cutoff_hz must be below half the frame rate, {0.5 / self.dt_s:g}")
         return self

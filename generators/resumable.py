@@ -7,17 +7,14 @@ again what its ledgers do not name, or the disk does not hold as they say.
 from __future__ import annotations
 
 import ctypes
-import fcntl
 import json
-import os
 import shutil
 import signal
 import threading
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
-from multiprocessing import connection, get_context, parent_process
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +25,8 @@ from surgbench.dataset.writer import SCRATCH_NAME, remove_ledgers
 from surgbench.errors import ConfigError, DatasetError, SurgbenchError
 from surgbench.files import PARTIAL_SUFFIX, write_atomic
 from surgbench.generation import GenerationPlan
+from surgbench.leftovers import without_leftovers
+from surgbench.locks import sole_writer
 from surgbench.processes.interruption import without_ctrl_c
 
 # A file takes at least a block of the disk.
@@ -65,12 +64,11 @@ def generate(
     _refuse_other_content(plan, out)
     if _is_complete(out):
         return False
-    fresh = not out.exists() or not any(out.iterdir())
+    fresh = not out.exists() or not any(without_leftovers(out.iterdir()))
     done = {path for path in plan.paths if (out / path).is_file()} if out.is_dir() else set()
     _check_disk(plan, out, len(done) / len(plan.paths), say)
     try:
-        out.mkdir(parents=True, exist_ok=True)
-        with _locked(out):
+        with sole_writer(out, "generate"):
             _remove_partial(out)
             write_atomic(out / MARKER_NAME, json.dumps(plan.marker, sort_keys=True, indent=1).encode())
             manifest = plan.write(out, jobs, progress)
@@ -80,7 +78,7 @@ def generate(
     except ConfigError:
         # These settings can never be finished.
         if fresh:
-            shutil.rmtree(out)
+            shutil.rmtree(out, ignore_errors=True)
         raise
     except OSError as error:
         raise storage_error(error, out, "run the same command again, it goes on from here") from None
@@ -108,7 +106,7 @@ def _refuse_other_content(plan: GenerationPlan, out: Path) -> None:
         return
     if not out.is_dir():
         raise DatasetError(f"{out}: is a file; --out needs a new or empty folder")
-    entries = sorted(path.name for path in out.iterdir() if not path.name.endswith(PARTIAL_SUFFIX))
+    entries = sorted(path.name for path in without_leftovers(out.iterdir()) if not path.name.endswith(PARTIAL_SUFFIX))
     if not entries:
         return
     if MANIFEST_NAME in entries:
@@ -130,7 +128,7 @@ def _refuse_other_content(plan: GenerationPlan, out: Path) -> None:
             f"{out}: an unfinished dataset with other settings lies here; choose another --out or delete it"
         )
     expected = {*plan.paths, MARKER_NAME}
-    for path in sorted(out.rglob("*")):
+    for path in sorted(without_leftovers(out.rglob("*"), out)):
         name = path.relative_to(out).as_posix()
         scratch = name.startswith(f"{SCRATCH_NAME}/")
         if path.is_file() and name not in expected and not scratch and not name.endswith(PARTIAL_SUFFIX):
@@ -166,20 +164,6 @@ def _check_disk(plan: GenerationPlan, out: Path, share_done: float, say: Callabl
             f"{out}: the disk has {free / 1e6:.0f} MB free but {need / 1e6:.0f} MB are needed; "
             "make room, choose another --out, or fewer --sequences or --frames"
         )
-
-
-@contextmanager
-def _locked(out: Path) -> Iterator[None]:
-    """Hold the folder against a second generation; the system lets go of it however this process ends."""
-    handle = os.open(out, os.O_RDONLY)
-    try:
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise DatasetError(f"{out}: another 'surgbench generate' is at work here") from None
-        yield
-    finally:
-        os.close(handle)
 
 
 def _remove_marker(out: Path) -> None:
@@ -244,19 +228,6 @@ def in_workers(
             stop.value = True
             pool.shutdown(wait=True, cancel_futures=True)
             raise
-
-
-def end_with_parent() -> None:
-    """Let this worker process end with its parent, also when that is killed."""
-    parent = parent_process()
-    if parent is not None:
-        sentinel = parent.sentinel
-
-        def follow() -> None:
-            connection.wait([sentinel])
-            os._exit(1)
-
-        threading.Thread(target=follow, daemon=True).start()
 
 
 def _collect(waiting: set[Future[int]], progress: Callable[[float], None]) -> set[Future[int]]:

@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field, field_validator, model_validator
 
 from surgbench.camera import Camera
+from surgbench.camera.plausible import implausible
 from surgbench.config import Finite, NotNegative, Positive, Section
 from surgbench.errors import SurgbenchError
 from surgbench.registry import find
@@ -79,7 +80,7 @@ class Absences(Section):
 
 # The left one of AutoCam's stereo pair at the size at which it is used (arXiv 2505.10398, published calibration). Masks
 # are those of its undistorted picture.
-AUTOCAM_CAMERA: Camera = AUTOCAM_STEREO.left.model_copy(update={"distortion": ()})
+AUTOCAM_CAMERA: Camera = AUTOCAM_STEREO.left.pinhole
 
 
 class Auxiliary(Section):
@@ -118,8 +119,10 @@ class Auxiliary(Section):
     @field_validator("camera")
     @classmethod
     def _undistorted(cls, value: Camera) -> Camera:
-        if any(value.distortion):
+        if value.is_distorted:
             raise ValueError("distortion must be left out or zero: masks are those of the undistorted picture")
+        if problem := implausible(value):
+            raise ValueError(problem)
         return value
 
     @field_validator("views")

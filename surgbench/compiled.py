@@ -10,9 +10,12 @@ from typing import Any
 
 from numba import njit
 
+from surgbench.caches import announce_cache
 from surgbench.errors import ConfigError
+from surgbench.leftovers import without_leftovers
 
 ENGINE = Path(__file__).parent
+announce_cache(ENGINE)  # before anything is compiled: numba refuses to where it cannot keep it
 
 
 @cache
@@ -24,7 +27,7 @@ def sources(folders: tuple[Path, ...]) -> str:
     """
     files: list[Path] = []
     for folder in folders:
-        own = sorted(folder.glob("*.py"))
+        own = sorted(without_leftovers(folder.glob("*.py")))
         if not own:
             raise ConfigError(f"{folder}: holds no modules that compiled code could depend on")
         files += own

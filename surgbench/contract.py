@@ -6,7 +6,7 @@ classes here are for convenience and type checkers: nothing requires inheriting 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol, runtime_checkable
@@ -118,7 +118,8 @@ class Observation:
 
     Attributes:
         index: Frame number, from 0.
-        timestamp_s: Seconds since the first frame.
+        timestamp_s: Seconds since the first frame. Frames of recordings may be missing, so that the time from one to
+            the next is not always :attr:`Scene.dt_s`; :func:`surgbench.timing.step_s` gives it.
         views: At least one; ``views[0]`` is the reference camera.
         start: ``(9 * arms,)`` where this frame's search begins: the filtered state, joints within limits,
             replaced by the readings where there are any.
@@ -161,7 +162,7 @@ class Scene:
         instruments: One per arm.
         views: The cameras, with empty masks.
         limits: Joint box of each arm that states should stay in.
-        dt_s: Seconds between frames.
+        dt_s: Seconds between frames, as a rule: the median where they differ.
         arms: 1 or 2.
         speed: ``"nominal"`` or ``"fast"``: how fast the instruments move, where the recording's author knows.
         device: Where candidates may be scored: ``"cpu"``, or ``"cuda"`` where the user asks for it.
@@ -347,8 +348,10 @@ class Importer(Protocol):
         """
         ...
 
-    def run(self, source: Path, out: Path, progress: Callable[[float], None]) -> None:
+    def run(self, source: Path, out: Path, progress: Callable[[float], None]) -> Sequence[str] | None:
         """Make the dataset.
+
+        What it returns is told line by line: what was made of the recording, and what is to be doubted.
 
         Args:
             source: The recording.
@@ -445,6 +448,18 @@ class StateFilter(Protocol):
 
     def update(self, estimate: FloatArray) -> FloatArray:
         """Take a frame's estimate in; returns the filtered state."""
+        ...
+
+
+@runtime_checkable
+class TimedFilter(StateFilter, Protocol):
+    """A filter that is told how long it is from frame to frame, which differs where a recording lacks frames."""
+
+    def elapse(self, dt_s: float) -> None:
+        """Seconds from the last frame to the one to come, called before ``predict``.
+
+        It is :attr:`Scene.dt_s` itself where frames are as far apart as that.
+        """
         ...
 
 

@@ -6,6 +6,7 @@ import hashlib
 import json
 import os
 from pathlib import Path
+from secrets import token_hex
 from typing import Any
 
 PARTIAL_SUFFIX = ".partial"
@@ -15,7 +16,8 @@ HASH_DIGITS = 16
 def write_atomic(path: Path, data: bytes) -> None:
     """Write ``data`` so that ``path`` never holds a part of it, whatever kills the process."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f"{path.name}.{os.getpid()}{PARTIAL_SUFFIX}")
+    # Two machines, or two containers, that share the folder may each have a process of this number.
+    partial = path.with_name(f"{path.name}.{os.getpid()}.{token_hex(4)}{PARTIAL_SUFFIX}")
     try:
         partial.write_bytes(data)
         partial.replace(path)

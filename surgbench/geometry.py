@@ -161,6 +161,23 @@ def is_rigid(transform: FloatArray, tolerance: float = 1e-6) -> bool:
     return bool(orthogonal and np.linalg.det(rotation) > 0 and (transform[3] == [0, 0, 0, 1]).all())
 
 
+def nearest_rotation(matrix: FloatArray) -> FloatArray:
+    """The rotation nearest to a ``(3, 3)`` matrix, by the sum of squared differences (Arun et al. 1987).
+
+    Example:
+        >>> import numpy as np
+        >>> from surgbench.geometry import nearest_rotation
+        >>> rounded = np.array([[0.9211, -0.3894, 0], [0.3894, 0.9211, 0], [0, 0, 1]])  # to 4 digits
+        >>> rotation = nearest_rotation(rounded)
+        >>> print(np.abs(rotation @ rotation.T - np.eye(3)).max() < 1e-15, np.abs(rotation - rounded).max() < 1e-4)
+        True True
+    """
+    u, _, vt = np.linalg.svd(np.asarray(matrix, dtype=np.float64))
+    u[:, 2] *= np.sign(np.linalg.det(u @ vt))  # else a mirror
+    nearest: FloatArray = u @ vt
+    return nearest
+
+
 def rotation_from_vector(vector_rad: FloatArray) -> FloatArray:
     """Rotation matrices of rotation vectors (Rodrigues' formula), exact near 0.
 

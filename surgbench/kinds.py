@@ -48,6 +48,13 @@ _TABLE = (
     Kind("task", "tasks", "surgbench.tasks", "surgbench.tasks", "surgbench.task:Task", inside="task"),
     Kind("generator", "generators", "surgbench.generators", "surgbench.generators", "surgbench.contract:Generator"),
     Kind("importer", "importers", "surgbench.exchange", "surgbench.importers", "surgbench.contract:Importer"),
+    Kind(
+        "exporter",
+        "exporters",
+        "surgbench.exchange.exporters",
+        "surgbench.exporters",
+        "surgbench.exporting:Exporter",
+    ),
     Kind("tracker", "trackers", "surgbench.trackers", "surgbench.trackers", "surgbench.contract:InstrumentTracker"),
     Kind(
         "initialiser",

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
+from surgbench.alike import choose_seen_alike
 from surgbench.geometry import FloatArray, look_at_rotation, rotation_angle, wrap_angle
 from surgbench.state import ANGLES, BETA, JOINTS, POSITION, STATE_SIZE, twin
 
@@ -108,6 +109,8 @@ def pose_errors(
 ) -> dict[str, FloatArray]:
     """All errors of one arm against the truth, frame by frame, after :func:`choose_twin`.
 
+    What cannot be seen of the instrument is not scored: see :func:`surgbench.alike.choose_seen_alike`.
+
     Args:
         instrument: Gives the tips.
         camera: The reference camera.
@@ -118,7 +121,7 @@ def pose_errors(
         ``POSE_ERRORS`` to ``(T,)``: geodesic rotation error (rad), distance of the wrist-pitch frame's origin (m),
         mean distance of the two tips (m), absolute joint errors (rad; q3 is the half jaw angle), and the sum of
         both tips' pixel distances under the better assignment. That last one is NaN where a tip is behind
-        the camera.
+        the camera; the error of a joint that the instrument has not is NaN.
 
     Example:
         2 mm too far to the right:
@@ -135,9 +138,10 @@ def pose_errors(
         (array([0.]), array([0.002]), array([0.002]))
     """
     truth = np.asarray(truth, dtype=np.float64)
-    chosen = choose_twin(estimate, truth)
+    chosen = choose_seen_alike(choose_twin(estimate, truth), truth, instrument.observed)
     tips, true_tips = instrument.tips_cam(chosen), instrument.tips_cam(truth)
     joints = np.abs(chosen[..., JOINTS] - truth[..., JOINTS])
+    joints[..., ~instrument.observed[JOINTS]] = np.nan
     values = (
         rotation_error(chosen[..., ANGLES], truth[..., ANGLES]),
         np.linalg.norm(chosen[..., POSITION] - truth[..., POSITION], axis=-1),
@@ -199,7 +203,7 @@ def mask_error(area_estimate: ArrayLike, area_reference: ArrayLike, overlap: Arr
 
 
 def interval_coverages(
-    estimate: FloatArray, standard_deviations: FloatArray, truth: FloatArray
+    estimate: FloatArray, standard_deviations: FloatArray, truth: FloatArray, observed: ArrayLike | None = None
 ) -> dict[str, FloatArray]:
     """Of each frame, the share of components whose stated central 90 % interval holds the truth.
 
@@ -209,9 +213,12 @@ def interval_coverages(
         estimate: ``(..., 9)`` states of one arm.
         standard_deviations: Same shape, or ``(9,)`` for all; rad and m, above 0; NaN where a frame has none.
         truth: As those.
+        observed: ``(9,)`` bool, or ``(..., 9)``: components that can be seen of the instrument; all unless told.
+            Others do not count.
 
     Returns:
-        The names of ``INTERVAL_COVERAGES`` to ``(...)`` shares, 0 to 1; NaN where a frame has no standard deviations.
+        The names of ``INTERVAL_COVERAGES`` to ``(...)`` shares, 0 to 1; NaN where a frame has no standard deviations,
+        and where a group has nothing that can be seen.
 
     Example:
         1 mm is expected; the wrist is off by 1 mm in x, by 2 mm in y and not at all in z.
@@ -227,9 +234,20 @@ def interval_coverages(
     truth = np.asarray(truth, dtype=np.float64)
     errors = choose_twin(estimate, truth) - truth
     errors[..., ANGLES] = wrap_angle(errors[..., ANGLES])
-    inside = np.abs(errors) <= INTERVAL_SIGMAS * np.asarray(standard_deviations)
-    inside = np.where(np.isnan(standard_deviations), np.nan, inside)
-    return {name: inside[..., group].mean(axis=-1) for name, group in INTERVAL_COVERAGES.items()}
+    held = np.abs(errors) <= INTERVAL_SIGMAS * np.asarray(standard_deviations)
+    inside: FloatArray = np.where(np.isnan(standard_deviations), np.nan, held)
+    seen = np.broadcast_to(True if observed is None else np.asarray(observed, dtype=bool), inside.shape)
+    return {name: _share(inside[..., group], seen[..., group]) for name, group in INTERVAL_COVERAGES.items()}
+
+
+def _share(inside: FloatArray, seen: np.ndarray) -> FloatArray:
+    """Mean over the last axis of what is seen; NaN where nothing is."""
+    if seen.all():
+        share: FloatArray = inside.mean(axis=-1)
+        return share
+    count = seen.sum(axis=-1)
+    shares: FloatArray = np.where(seen, inside, 0.0).sum(axis=-1) / np.where(count > 0, count, np.nan)
+    return shares
 
 
 def lost_precision(lost: ArrayLike, out_of_view: ArrayLike) -> FloatArray:

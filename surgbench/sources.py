@@ -14,6 +14,7 @@ from functools import lru_cache
 from pathlib import Path
 
 from surgbench.files import HASH_DIGITS, sha256_file
+from surgbench.leftovers import without_leftovers
 from surgbench.plugin_files import PREFIX, lies_beside
 
 ENGINE = "surgbench"
@@ -21,8 +22,9 @@ ENGINE = "surgbench"
 PLUGGED_IN = ("trackers", "generators", "exchange", "tasks")
 # Rooms of the engine that move estimates about, and make none.
 PLUMBING = (
-    "cli", "comparison", "configs", "conformance", "errors", "files", "generation", "kinds", "plugin_files",
-    "processes", "records", "registry", "report", "reproduce", "sources", "suite", "task",
+    "caches", "cli", "comparison", "configs", "conformance", "errors", "exporting", "extras", "files", "generation",
+    "kinds", "leftovers", "locks", "plugin_files", "processes", "recordings", "records", "registry", "report",
+    "reproduce", "sources", "suite", "task",
 )  # fmt: skip
 
 
@@ -92,7 +94,10 @@ def package_modules(name: str) -> tuple[str, ...]:
     if found is None:
         return (name,)
     folder = found.path.parent
-    inside = (path.relative_to(folder).with_suffix("").parts for path in sorted(folder.rglob("*.py")))
+    inside = (
+        path.relative_to(folder).with_suffix("").parts
+        for path in sorted(without_leftovers(folder.rglob("*.py"), folder))
+    )
     return tuple(".".join((package, *(parts[:-1] if parts[-1] == "__init__" else parts))) for parts in inside)
 
 

@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 from surgbench.errors import ConfigError, NotFoundError, SurgbenchError, unknown_name
 from surgbench.registry import default_task_name, discover
@@ -28,11 +28,24 @@ if TYPE_CHECKING:
     from surgbench.report.row import Row
     from surgbench.report.video_options import VideoOptions
     from surgbench.reproduce.sheet import Sheet
-    from surgbench.suite.asked import Conditions, RowRequest
+    from surgbench.suite.asked import Conditions, FileRequest, RowRequest
     from surgbench.suite.running import Run
     from surgbench.suite.settings import Job, Settings
 
 Advance = Callable[[float], None]
+
+
+class FileWork(Protocol):
+    """One unit of a file of estimates that another program made."""
+
+    @property
+    def job(self) -> Job:
+        """As of a run."""
+        ...
+
+    def measure(self, run: Run) -> dict[str, Any]:
+        """What a record holds of it besides what every record says of its job."""
+        ...
 
 
 class Task(ABC):
@@ -109,6 +122,22 @@ class Task(ABC):
             SurgbenchError: The dataset itself is at fault.
         """
 
+    def from_file(self, dataset: Any, path: Path, asked: FileRequest) -> Sequence[FileWork]:
+        """Estimates that another program made.
+
+        Args:
+            dataset: What they were made on.
+            path: The file.
+            asked: How it is to be called and read.
+
+        Returns:
+            One for each unit that the file has estimates of.
+
+        Raises:
+            SurgbenchError: The file is wrong; one line. Or the task takes no estimates from files.
+        """
+        raise ConfigError(f"the {self.name} task takes no estimates from files")
+
     def timed(self, row: Any) -> RowRequest:
         """A row as it is run to measure latencies: without what takes time and changes no latency."""
         asked: RowRequest = row
@@ -132,7 +161,7 @@ class Task(ABC):
 
     @property
     def further_columns(self) -> tuple[Field, ...]:
-        """Further columns that a leaderboard has where one of its rows has a value there, and no other row needs."""
+        """Of the leaderboard, after the others, those that stand only where a row has a value of them."""
         return ()
 
     @property

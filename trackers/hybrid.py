@@ -24,6 +24,7 @@ from surgbench.metrics import OUT_OF_VIEW_SHARE
 from surgbench.objective import LossWeights, Objective
 from surgbench.silhouette import SilhouetteEvaluator
 from surgbench.state import JOINTS, STATE_SCALE, STATE_SIZE, StateSpace, clip_joints
+from surgbench.timing import step_s
 from surgbench.trackers.optimisers.cma import CMA
 from surgbench.trackers.optimisers.cma_settings import tutorial_settings
 from surgbench.trackers.registration.arrival import Whereabouts, arrivals
@@ -39,9 +40,11 @@ from surgbench.trackers.registration.proposals import (
     sweep_jaws,
 )
 
-# Per second (squared): how fast hands move such an instrument.
-ACCELERATION = np.array([4.0, 12.0, 4.0, 0.4, 0.4, 0.4, 8.0, 8.0, 6.0])
+# Per second (squared): how fast hands move such an instrument. Its jaws turn together more than they open: where one is
+# hidden behind the other, it goes with that one.
+ACCELERATION = np.array([4.0, 12.0, 4.0, 0.4, 0.4, 0.4, 8.0, 8.0, 2.5])
 VELOCITY = np.array([0.3, 1.0, 0.3, 0.02, 0.02, 0.02, 0.5, 0.5, 0.3])
+SETTLING_S = np.array([*[np.inf] * 8, 0.5])
 # How well the first state, or a hypothesis just found, is known; and how well a drawn one is.
 FOUND = np.array([0.01, 0.05, 0.03, 5e-4, 5e-4, 1e-3, 0.05, 0.05, 0.05])
 DRAWN = np.array([0.1, 1.0, 0.2, 5e-3, 5e-3, 2e-2, 1.0, 1.0, 1.0])
@@ -159,7 +162,8 @@ class HybridTracker(InstrumentTracker):
         self._jaws = JawJudge(scene.instruments, scene.views[0].camera)
         self._drawn = np.diag((self._scale / np.tile(DRAWN, scene.arms)) ** 2)
         self._pause = 0
-        self._begun = False
+        self._last_s: float | None = None  # when the last frame was
+        self._step_s = scene.dt_s
         self._whereabouts = Whereabouts(state)
         self._found: FloatArray = np.tile(FOUND, scene.arms)
         faster = config.acceleration * (config.fast_acceleration if scene.speed == "fast" else 1.0)
@@ -171,6 +175,7 @@ class HybridTracker(InstrumentTracker):
             config.reading_bias_rad,
             config.reading_drift_rad,
             self._fit.shape.scale,
+            np.tile(SETTLING_S, scene.arms),
         )
         belief.restart(state, self._found)
         self._hypotheses = [Hypothesis(belief, np.array(state), 0.0)]
@@ -181,9 +186,11 @@ class HybridTracker(InstrumentTracker):
         self._objective.observe(observation)
         seen = bool(observation.mask.any())
         last = self._hypotheses[0].state
+        if self._last_s is not None:
+            self._step_s = step_s(self._last_s, observation.timestamp_s, self._scene.dt_s)
         for k, hypothesis in enumerate(self._hypotheses):
             self._follow(hypothesis, observation, observation.start if k == 0 else None, seen)
-        self._begun = True
+        self._last_s = observation.timestamp_s
         best = min(self._hypotheses, key=lambda h: h.total)
         fits = self._fits(best)
         share = float(observation.mask.mean())
@@ -225,10 +232,10 @@ class HybridTracker(InstrumentTracker):
 
     def _follow(self, hypothesis: Hypothesis, observation: Observation, start: FloatArray | None, seen: bool) -> None:
         belief, config = hypothesis.belief, self.config
-        if self._begun:
-            belief.predict()
+        if self._last_s is not None:
+            belief.predict(self._step_s)
         tips = (
-            not self._begun
+            self._last_s is None
             or self._jaws_sd_rad(belief) > config.weak_jaws_rad
             or self._fit.misfit_px > config.misfit_px
         )
@@ -237,6 +244,8 @@ class HybridTracker(InstrumentTracker):
         starts = [clip_joints(belief.state, self._scene.joint_limits)]
         if start is not None:
             starts.append(belief.near(start))
+        if self._step_s > self._scene.dt_s:  # for so long nothing may have gone on as it did
+            starts.append(belief.near(hypothesis.state))
         candidates = np.stack(starts)
         # A detector takes longer than all the rest of a frame: it isn't waited for while the contour tells the jaws.
         losses = (self._objective if tips else self._objective.mismatch)(candidates)[0]

@@ -36,6 +36,7 @@ from surgbench.geometry import (
 from surgbench.objective import LossWeights, Objective
 from surgbench.silhouette import KeypointProjector
 from surgbench.state import ANGLES, JOINTS, POSITION, STATE_SIZE, split_arms
+from surgbench.timing import step_s
 from surgbench.trackers.observations.edges import Gate, detect_edges, expected_edges
 from surgbench.trackers.observations.likelihood import association_likelihood, line_costs, point_costs
 from surgbench.trackers.observations.particles import ParticleCloud
@@ -111,6 +112,7 @@ class LumpedErrorFilter:
         first = deviations(config.init_position_m, config.init_rotation_rad, config.init_joint_rad)
         step = deviations(config.walk_position_m, config.walk_rotation_rad, config.walk_joint_rad)
         self._step = step * np.sqrt(scene.dt_s * PUBLISHED_RATE_HZ)
+        self._dt_s, self._last_s = scene.dt_s, 0.0
         self.cloud = ParticleCloud(first, config.particles, rng)
         self.resampled = False
 
@@ -132,7 +134,9 @@ class LumpedErrorFilter:
         if self._T_0 is None:
             self._T_0 = inverse_transform(self._T_cam_base) @ self._first_pose @ inverse_transform(T_base_tool)
         else:
-            self.cloud.walk(self._step)
+            elapsed_s = step_s(self._last_s, observation.timestamp_s, self._dt_s)
+            self.cloud.walk(self._step * np.sqrt(elapsed_s / self._dt_s))
+        self._last_s = observation.timestamp_s
         rotations, translations, joints = self._places(T_base_tool, joint_readings)
         for index, view in enumerate(observation.views):
             self.cloud.weigh(self._likelihood(index, view, rotations, translations, joints))

@@ -20,12 +20,12 @@ from surgbench.generators.resumable import (
     blocks,
     configuration,
     ctrl_c_raises,
-    end_with_parent,
     in_workers,
 )
 from surgbench.generators.wire_chaser.presets import WireChaser
 from surgbench.generators.wire_chaser.trial import StoppedError, draw_samples, make_trial
 from surgbench.geometry import FloatArray
+from surgbench.processes.ending import end_worker_with_parent
 from surgbench.tasks.viewpoint.dataset import pose_columns
 from surgbench.tasks.viewpoint.format import (
     CONTACT,
@@ -209,7 +209,7 @@ _worker: _Worker | None = None
 
 def _start_worker(preset: WireChaser, out: Path, stop: ctypes.c_bool) -> None:
     global _worker
-    end_with_parent()
+    end_worker_with_parent()
     _worker = _Worker(preset, out, stop)
 
 

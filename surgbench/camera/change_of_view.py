@@ -6,12 +6,12 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 
+from surgbench.compiled import compiled
 from surgbench.geometry import FloatArray
 from surgbench.state import STATE_SIZE
 
-_compiled = njit(cache=True, nogil=True, error_model="numpy")
+_compiled = compiled(makes_arrays=True)
 
 # Where the shaft stands along a view's y axis, beta and gamma are one angle: below this cosine of alpha, gamma is 0,
 # and the rates are taken as if the cosine were this.

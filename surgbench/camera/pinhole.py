@@ -2,30 +2,27 @@
 
 from __future__ import annotations
 
-import json
-from functools import lru_cache
-from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
-import cv2
 import numpy as np
-from pydantic import Field
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
-from surgbench.config import Finite, Positive, Section, parse_model
-from surgbench.errors import ConfigError, DatasetError
+from surgbench.camera.lens import DistortionModel, Lens, coefficients_problem, lens
+from surgbench.config import Finite, Positive, Section
+from surgbench.errors import ConfigError
 from surgbench.geometry import FloatArray
 
 # Surfaces nearer to the camera plane than this are not seen.
 NEAR_M = 1e-3
-# A lens is looked at to this far from its axis, as a tangent, in this many steps.
-_WIDEST, _STEPS = 20.0, 20000
 
 
 class Camera(Section):
-    """Intrinsics of one pinhole camera, pixels.
+    """Intrinsics of one pinhole camera, pixels, and its lens.
 
     A point ``(x, y, z)`` of the camera frame (metres; x right, y down, z forward) is seen at
     ``u = fx x / z + cx``, ``v = fy y / z + cy``; pixel ``(column 0, row 0)`` has its centre at (0, 0).
+    ``distortion`` holds the coefficients of the lens's model, ``distortion_model``: ``"opencv"`` (none, or 4, 5, 8, 12
+    or 14, in OpenCV's order) or ``"fisheye"`` (4, equidistant); see :mod:`surgbench.camera.lens`.
 
     Example:
         >>> from surgbench.camera import Camera
@@ -43,6 +40,41 @@ class Camera(Section):
     cx: Finite
     cy: Finite
     distortion: tuple[Finite, ...] = ()
+    distortion_model: DistortionModel = "opencv"
+
+    @model_validator(mode="after")
+    def _coefficients(self) -> Camera:
+        if problem := coefficients_problem(self.distortion_model, self.distortion):
+            raise ValueError(problem)
+        return self
+
+    @model_serializer(mode="wrap")
+    def _without_what_is_not_there(self, serialise: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        # Files of cameras that are no fisheyes, and their hashes, stay as they were before there were any.
+        content = dict(serialise(self))
+        if self.distortion_model == "opencv":
+            content.pop("distortion_model", None)
+        return content
+
+    @property
+    def is_distorted(self) -> bool:
+        """Whether pictures of this camera must be undistorted before projection by K holds."""
+        return self.distortion_model == "fisheye" or any(coefficient != 0.0 for coefficient in self.distortion)
+
+    @property
+    def pinhole(self) -> Camera:
+        """The same camera without its lens."""
+        return self.model_copy(update={"distortion": (), "distortion_model": "opencv"})
+
+    @property
+    def lens(self) -> Lens:
+        """What takes pixels of :attr:`pinhole` to those of this camera, and back.
+
+        Raises:
+            ConfigError: The number of distortion coefficients is none of the model's.
+        """
+        intrinsics = self.fx, self.fy, self.cx, self.cy
+        return lens(intrinsics, (self.width, self.height), self.distortion, self.distortion_model)
 
     @property
     def matrix(self) -> FloatArray:
@@ -78,13 +110,13 @@ class Camera(Section):
     def widest(self) -> float:
         """Tangent of the angle to the axis up to which the lens sees; beyond, its model folds the picture over.
 
-        Where a point is seen must move outwards when the point does: the radial part of OpenCV's model grows. Infinite
+        Where a point is seen must move outwards when the point does: the radial part of the model grows. Infinite
         without distortion.
         """
-        return _widest(self.distortion)
+        return self.lens.widest
 
     def see(self, points_cam: FloatArray) -> FloatArray:
-        """Where the camera sees points of its frame, its lens's distortion included (OpenCV's model).
+        """Where the camera sees points of its frame, its lens's distortion included (OpenCV's models).
 
         Args:
             points_cam: ``(..., 3)`` metres.
@@ -103,17 +135,33 @@ class Camera(Section):
             array([[ 80. ,  60. ],
                    [119.6,  79.8]])
         """
-        straight = self.project(points_cam)
-        if not any(self.distortion):
-            return straight
-        rays = (straight - [self.cx, self.cy]) / [self.fx, self.fy]
-        rays[np.hypot(rays[..., 0], rays[..., 1]) > self.widest] = np.nan
-        rays = np.concatenate([rays, np.ones((*rays.shape[:-1], 1))], axis=-1)
-        if rays.size == 0:
-            return straight
-        none = np.zeros(3)
-        bent, _ = cv2.projectPoints(rays.reshape(-1, 1, 3), none, none, self.matrix, np.array(self.distortion))
-        return np.asarray(bent, dtype=np.float64).reshape(straight.shape)
+        return self.lens.distort(self.project(points_cam))
+
+    def resized(self, width: int, height: int) -> Camera:
+        """The camera of the same pictures after ``cv2.resize`` to another size: pixels' areas are scaled, not centres.
+
+        Raises:
+            ConfigError: The size has another aspect ratio: neither length is the other's, rounded.
+
+        Example:
+            >>> from surgbench.camera import Camera
+            >>> Camera(width=160, height=120, fx=200, fy=200, cx=79.5, cy=59.5).resized(80, 60)
+            Camera(width=80, height=60, fx=100.0, fy=100.0, cx=39.5, cy=29.5, distortion=(), distortion_model='opencv')
+        """
+        across, down = width / self.width, height / self.height
+        if abs(height - self.height * across) >= 1 and abs(width - self.width * down) >= 1:
+            raise ConfigError(
+                f"{self.width}x{self.height} pixels cannot be scaled to {width}x{height} (another aspect ratio)"
+            )
+        changes = {
+            "width": width,
+            "height": height,
+            "fx": self.fx * across,
+            "fy": self.fy * down,
+            "cx": (self.cx + 0.5) * across - 0.5,
+            "cy": (self.cy + 0.5) * down - 0.5,
+        }
+        return self.model_copy(update=changes)
 
     def contains(self, pixels: FloatArray, margin_px: float = 0.0) -> np.ndarray:
         """Which pixels (``(..., 2)``) lie inside the image, at least ``margin_px`` from its border.
@@ -134,35 +182,3 @@ class Camera(Section):
             & (v <= self.height - 0.5 - margin_px)
         )
         return inside
-
-
-@lru_cache(maxsize=64)
-def _widest(distortion: tuple[float, ...]) -> float:
-    """:attr:`Camera.widest` of coefficients."""
-    if not any(distortion):
-        return float("inf")
-    # OpenCV's order: the third and fourth are tangential, and those after the eighth not radial either.
-    k1, k2, _, _, k3, k4, k5, k6 = (*distortion, *(0.0,) * 8)[:8]
-    tangent = np.linspace(0.0, _WIDEST, _STEPS + 1)
-    square = tangent**2
-    numerator = 1.0 + square * (k1 + square * (k2 + square * k3))
-    denominator = 1.0 + square * (k4 + square * (k5 + square * k6))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        grows = np.diff(tangent * numerator / denominator) > 0
-    return float(tangent[-1] if grows.all() else tangent[int(np.argmin(grows))])
-
-
-def read_camera(path: Path) -> Camera:
-    """Read a camera JSON file (keys width, height, fx, fy, cx, cy, optional distortion).
-
-    Raises:
-        DatasetError: The file is missing, is not JSON, or lacks a key; the message names it.
-    """
-    try:
-        return parse_model(Camera, json.loads(path.read_text(encoding="utf-8")), str(path))
-    except FileNotFoundError:
-        raise DatasetError(f"{path}: camera file is missing (keys: width, height, fx, fy, cx, cy)") from None
-    except (UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise DatasetError(f"{path}: not valid JSON ({error})") from None
-    except ConfigError as error:
-        raise DatasetError(str(error)) from None

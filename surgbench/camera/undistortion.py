@@ -1,4 +1,4 @@
-"""Pictures as the pinhole camera without its lens would have taken them."""
+"""Pictures and points as the pinhole camera without its lens would have taken them."""
 
 from __future__ import annotations
 
@@ -9,19 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surgbench.camera import Camera
-from surgbench.errors import ConfigError, SurgbenchError
-
-# OpenCV's models: (k1, k2, p1, p2[, k3[, k4, k5, k6[, s1..s4[, tau_x, tau_y]]]]).
-COEFFICIENTS = (0, 4, 5, 8, 12, 14)
-
-
-def is_distorted(camera: Camera) -> bool:
-    """Whether pictures of this camera must be undistorted before projection by K holds."""
-    return any(coefficient != 0.0 for coefficient in camera.distortion)
+from surgbench.errors import SurgbenchError
+from surgbench.geometry import FloatArray
 
 
 class Undistortion:
-    """Removes the radial and tangential distortion of one camera; its maps are made once.
+    """Removes what the lens of one camera does to pictures; its maps are made once.
 
     The undistorted picture has the camera's size and intrinsics: a point is where :meth:`Camera.project` puts it.
     """
@@ -30,15 +23,11 @@ class Undistortion:
         """Make the maps.
 
         Raises:
-            ConfigError: The number of distortion coefficients is none of OpenCV's.
+            ConfigError: The number of distortion coefficients is none of the model's.
         """
-        if len(camera.distortion) not in COEFFICIENTS:
-            raise ConfigError(
-                f"camera has {len(camera.distortion)} distortion coefficients "
-                "('distortion' must have 4, 5, 8, 12 or 14, OpenCV's order)"
-            )
         self.camera = camera
-        self._maps = _maps(camera) if is_distorted(camera) else None
+        lens = camera.lens
+        self._maps = lens.maps if camera.is_distorted else None
 
     def __call__(self, picture: NDArray[Any], interpolation: int = cv2.INTER_LINEAR) -> NDArray[Any]:
         """Undistort a picture.
@@ -59,6 +48,23 @@ class Undistortion:
         return np.asarray(cv2.remap(picture, *self._maps, interpolation))
 
 
+def undistort_points(points: FloatArray, camera: Camera) -> FloatArray:
+    """Where pixels of a camera's pictures lie in the undistorted ones.
+
+    Args:
+        points: ``(..., 2)``.
+        camera: Lens included.
+
+    Returns:
+        ``(..., 2)``; NaN outside of the undistorted picture and where they are NaN already. A camera without distortion
+        gives the points themselves.
+    """
+    if not camera.is_distorted:
+        return points
+    moved = camera.lens.undistort(points)
+    return np.where(camera.contains(moved)[..., None], moved, np.nan)
+
+
 def check_size(picture: NDArray[Any], width: int, height: int, what: str) -> None:
     """Refuse a picture of another size.
 
@@ -68,15 +74,3 @@ def check_size(picture: NDArray[Any], width: int, height: int, what: str) -> Non
     if picture.ndim not in (2, 3) or picture.shape[:2] != (height, width):
         shape = "x".join(str(length) for length in picture.shape[1::-1] + picture.shape[2:])
         raise SurgbenchError(f"{what}: is {shape or 'no picture'} (must be {width}x{height} pixels)")
-
-
-def _maps(camera: Camera) -> tuple[NDArray[Any], NDArray[Any]]:
-    first, second = cv2.initUndistortRectifyMap(
-        camera.matrix,
-        np.array(camera.distortion),
-        np.eye(3),
-        camera.matrix,
-        (camera.width, camera.height),
-        cv2.CV_32FC1,
-    )
-    return np.asarray(first), np.asarray(second)

@@ -12,8 +12,10 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
+from surgbench.caches import settle_caches
 from surgbench.cli.bench import bench_app
 from surgbench.cli.check import tracker
+from surgbench.cli.export import export
 from surgbench.cli.generate import generate
 from surgbench.cli.handeye import handeye
 from surgbench.cli.import_ import import_app
@@ -22,13 +24,18 @@ from surgbench.cli.options import field_options, with_options
 from surgbench.cli.report import report
 from surgbench.cli.reproduce import reproduce
 from surgbench.cli.run import run
+from surgbench.cli.score import score
+from surgbench.cli.track import IMPORTER, NOT_ASKED, track
 from surgbench.cli.train import train_app
 from surgbench.cli.validate import validate
 from surgbench.cli.video import video
 from surgbench.errors import SurgbenchError
+from surgbench.extras import not_installed
+from surgbench.processes.streams import abandon_output, flush_output, print_whatever_comes
 from surgbench.version import __version__
 
 INTERRUPTED = 130  # typer's own exit code for Ctrl-C, and the shell's
+BROKEN_PIPE = 1  # typer's own exit code for output that nobody reads any more
 
 
 class _Commands(TyperGroup):
@@ -37,7 +44,8 @@ class _Commands(TyperGroup):
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """The command that the arguments begin with."""
         name, command, rest = super().resolve_command(ctx, args)
-        return name, _run_with_all_options() if name == "run" else command, rest
+        whole = {"run": _run_with_all_options, "track": _track_with_all_options}.get(name or "")
+        return name, command if whole is None else whole(), rest
 
 
 def _run_with_all_options() -> Any:
@@ -47,6 +55,16 @@ def _run_with_all_options() -> Any:
     options = field_options({task.row: f"({task.name}) " for task in all_tasks()}, RowRequest)
     own = typer.Typer(rich_markup_mode=None, add_completion=False, pretty_exceptions_enable=False)
     own.command("run")(with_options(run, options, "asked"))
+    return typer.main.get_command(own)
+
+
+def _track_with_all_options() -> Any:
+    from surgbench.registry import find
+
+    model: Any = getattr(find("importer", IMPORTER).cls, "Config")  # noqa: B009
+    options = {key: value for key, value in field_options({model: ""}).items() if key not in NOT_ASKED}
+    own = typer.Typer(rich_markup_mode=None, add_completion=False, pretty_exceptions_enable=False)
+    own.command("track")(with_options(track, options, "options"))
     return typer.main.get_command(own)
 
 
@@ -60,7 +78,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
     epilog="Example: surgbench generate mini --out data/mini && surgbench run --dataset data/mini --tracker cmaes",
 )
-check_app = typer.Typer(no_args_is_help=True, help="See whether a plug-in keeps the rules.", rich_markup_mode=None)
+check_app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 
 
 def _version(asked: bool) -> None:
@@ -88,6 +106,9 @@ app.command("run")(with_options(run, {}, "asked"))  # for the list of commands
 app.command("report")(report)
 app.command("reproduce")(reproduce)
 app.command("video")(video)
+app.command("export")(export)
+app.command("score")(score)
+app.command("track")(with_options(track, {}, "options"))  # likewise
 app.command("handeye")(handeye)
 app.command("list")(list_names)
 check_app.command("tracker")(tracker)
@@ -108,8 +129,32 @@ def main() -> None:
     """Entry point of the console script."""
     arguments = [argument for argument in sys.argv[1:] if argument != "--debug"]
     debug = len(arguments) < len(sys.argv) - 1
+    print_whatever_comes()
+    settle_caches()
+    try:
+        code = _run(arguments, debug)
+        flush_output()
+    except BrokenPipeError:  # `| head`: what was asked for is done
+        abandon_output()
+        code = BROKEN_PIPE
+    except OSError as error:
+        if debug:
+            raise
+        abandon_output()
+        code = _complain(f"standard output: {(error.strerror or str(error)).lower()}")
+    sys.exit(code)
+
+
+def _run(arguments: list[str], debug: bool) -> int:
+    """Run a command; what goes wrong becomes a line.
+
+    Raises:
+        BrokenPipeError: Nobody reads standard output any more.
+    """
     try:
         code = app(arguments, standalone_mode=False)
+    except BrokenPipeError:
+        raise
     except SurgbenchError as error:
         if debug:
             raise
@@ -119,6 +164,11 @@ def main() -> None:
             raise
         place = f"{error.filename}: " if error.filename else ""
         code = _complain(f"{place}{(error.strerror or str(error)).lower()}")
+    except ImportError as error:
+        if debug:
+            raise
+        lacking = isinstance(error, ModuleNotFoundError) and error.name is not None
+        code = _complain(not_installed([error.name or ""]) if lacking else f"{error.name} cannot be loaded: {error}")
     except (KeyboardInterrupt, typer.Abort):
         code = INTERRUPTED
     except Exception as error:
@@ -134,7 +184,7 @@ def main() -> None:
             code = _complain(message or "not enough arguments; see --help")
     if code == INTERRUPTED:
         print("surgbench: interrupted; the same command again goes on from here", file=sys.stderr)
-    sys.exit(code if isinstance(code, int) else 0)
+    return code if isinstance(code, int) else 0
 
 
 def _complain(message: str) -> int:

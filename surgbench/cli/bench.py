@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Annotated
 
@@ -98,6 +99,7 @@ def keypoints(
     from surgbench.errors import ConfigError
     from surgbench.generators.tip_masks import HELD_OUT, TipMasks
     from surgbench.instrument import load_instrument
+    from surgbench.locks import sole_writer
     from surgbench.registry import create, find
     from surgbench.suite.suites import parse_sets
 
@@ -110,22 +112,21 @@ def keypoints(
     for name in options:
         if name not in names:
             raise ConfigError(f"--set {name}.…: '{name}' takes no part (taking part: {', '.join(names)})")
-    if out is not None:
-        out.mkdir(parents=True, exist_ok=True)
-    test = TipMasks(HELD_OUT, masks, seed, "test")
-    instrument = load_instrument(HELD_OUT.instrument)
-    with progress("masks", masks * len(found)) as bar:
-        seen = {one.name: measure(create(one, options.get(one.name, {})), test, instrument, bar) for one in found}
-    rows = [group for name, answers in seen.items() for group in groups(name, answers)]
-    if as_json:
-        print(json.dumps([group.row() for group in rows], indent=2, allow_nan=False))
-    else:
-        print_groups(rows, Console())
-    if out is not None:
-        words = ["surgbench bench keypoints", *(f"--keypoints {one.name}" for one in found)]
-        words += [*(f"--set {text}" for text in set_ or []), f"--masks {masks} --seed {seed}"]
-        write_report(out, rows, seen, test, " ".join(words))
-        print(out, file=sys.stderr if as_json else sys.stdout)
+    with nullcontext() if out is None else sole_writer(out, "bench"):
+        test = TipMasks(HELD_OUT, masks, seed, "test")
+        instrument = load_instrument(HELD_OUT.instrument)
+        with progress("masks", masks * len(found)) as bar:
+            seen = {one.name: measure(create(one, options.get(one.name, {})), test, instrument, bar) for one in found}
+        rows = [group for name, answers in seen.items() for group in groups(name, answers)]
+        if as_json:
+            print(json.dumps([group.row() for group in rows], indent=2, allow_nan=False))
+        else:
+            print_groups(rows, Console())
+        if out is not None:
+            words = ["surgbench bench keypoints", *(f"--keypoints {one.name}" for one in found)]
+            words += [*(f"--set {text}" for text in set_ or []), f"--masks {masks} --seed {seed}"]
+            write_report(out, rows, seen, test, " ".join(words))
+            print(out, file=sys.stderr if as_json else sys.stdout)
 
 
 def _numbers(text: str) -> list[int]:

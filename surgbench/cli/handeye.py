@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from contextlib import nullcontext
 from enum import Enum
 from pathlib import Path
 from typing import Annotated
@@ -44,6 +45,7 @@ def handeye(
     from surgbench.cli.progress import progress
     from surgbench.errors import SurgbenchError, unknown_name
     from surgbench.handeye.table import FIELDS, print_judged
+    from surgbench.locks import sole_writer
     from surgbench.records.reader import read_runs
     from surgbench.report.frame import csv_text, json_text, to_frame
     from surgbench.task import find_task
@@ -57,7 +59,8 @@ def handeye(
     tasks = sorted({record.spec.task for record in records})
     if len(tasks) > 1:
         raise SurgbenchError(f"{runs[0]}: runs of several tasks ({', '.join(tasks)}); give folders of one")
-    judged = find_task(tasks[0]).hand_eye(records, dataset, fix_lag, progress)
+    with nullcontext() if fix_lag is None else sole_writer(fix_lag, "handeye", "--fix-lag"):
+        judged = find_task(tasks[0]).hand_eye(records, dataset, fix_lag, progress)
     for note in dict.fromkeys(one.note for one in judged if one.note):
         print(f"surgbench: {note}", file=sys.stderr)
     if output is HandEyeFormat.table:

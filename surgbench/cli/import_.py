@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -48,7 +49,8 @@ def _import() -> None:
 def _command(found: Found) -> Any:
     from surgbench.cli.options import field_options, with_options
     from surgbench.dataset.open import open_dataset
-    from surgbench.errors import DatasetError
+    from surgbench.dataset.storage import check_new
+    from surgbench.locks import sole_writer
     from surgbench.registry import create
 
     def command(
@@ -57,16 +59,17 @@ def _command(found: Found) -> Any:
         out: Annotated[Path, typer.Option(help="The dataset's folder: new or empty.")],
     ) -> None:
         importer = create(found, options)
-        if out.exists() and (not out.is_dir() or any(out.iterdir())):
-            raise DatasetError(f"{out}: holds something already; --out needs a new or empty folder")
-        with progress("frames", importer.frames(source)) as advance:
-            importer.run(source, out, advance)
+        with sole_writer(out, "import"):
+            check_new(out)
+            with progress("frames", importer.frames(source)) as advance:
+                lines = importer.run(source, out, advance)
+        for line in lines or ():
+            print(line, file=sys.stderr)
         open_dataset(out)  # before it is called one
         print(out)
 
     model = getattr(found.cls, "Config", None)
-    doc = (
-        f"Make a dataset of a recording: {getattr(found.cls, 'summary', '')}.\n\n"
-        f"Example: surgbench import {found.name} recordings/suturing --out data/suturing"
-    )
+    example = f"Example: surgbench import {found.name} recordings/suturing --out data/suturing"
+    further = (f"Example: {one}" for one in getattr(found.cls, "examples", ()))
+    doc = "\n\n".join((f"Make a dataset of a recording: {getattr(found.cls, 'summary', '')}.", example, *further))
     return with_options(command, field_options({} if model is None else {model: ""}), "options", doc)

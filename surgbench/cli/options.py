@@ -19,7 +19,7 @@ def field_options(models: Mapping[type[BaseModel], str], known: type[BaseModel] 
     """Parameters of a command, one for each field; ``None`` stands for what the command line does not say.
 
     A field's description is the help; a word in capitals at its begin (``NAME:``) stands for the value. What a field
-    keeps under ``json_schema_extra`` may name another ``option``.
+    keeps under ``json_schema_extra`` may name another ``option``, and one that is the same ``also``.
 
     Args:
         models: Their fields are taken, of two of one name the first; and what the help of each model's begins with.
@@ -39,12 +39,12 @@ def field_options(models: Mapping[type[BaseModel], str], known: type[BaseModel] 
 
 def _option(name: str, field: FieldInfo, prefix: str) -> Any:
     extra = field.json_schema_extra if isinstance(field.json_schema_extra, dict) else {}
-    flag = "--" + str(extra.get("option", name.replace("_", "-")))
+    flags = [f"--{extra.get('option', name.replace('_', '-'))}", *([f"--{extra['also']}"] if "also" in extra else [])]
     words = field.description or ""
     first, _, rest = words.partition(" ")
     metavar = first.rstrip(":") if len(first) > 2 and first.rstrip(":").isupper() else None
     meaning = rest if metavar else words
-    return Annotated[field.annotation | None, typer.Option(flag, metavar=metavar, help=prefix + meaning)]  # type: ignore[operator]
+    return Annotated[field.annotation | None, typer.Option(*flags, metavar=metavar, help=prefix + meaning)]  # type: ignore[operator]
 
 
 def with_options(command: Command, options: dict[str, Any], into: str, doc: str | None = None) -> Command:

@@ -34,6 +34,7 @@ def report(
     """
     from surgbench.errors import SurgbenchError
     from surgbench.files import write_atomic
+    from surgbench.locks import in_use, locked_beside
     from surgbench.report import render
     from surgbench.report.rows import read_rows
 
@@ -48,6 +49,9 @@ def report(
         sys.stdout.write(text)
         return
     try:
-        write_atomic(out, text.encode())
+        with locked_beside(out) as ours:
+            if not ours:
+                raise in_use(out, "report")
+            write_atomic(out, text.encode())
     except OSError as error:
         raise SurgbenchError(f"{out}: cannot be written ({error.strerror})") from None

@@ -47,6 +47,7 @@ def keypoints(
     an interruption the same command goes on where it stopped.
     """
     from surgbench.cli.training import load_training, train
+    from surgbench.locks import sole_writer
     from surgbench.silhouette.torch_evaluator import check_device
 
     settings = load_training(training, seed, masks, epochs)
@@ -56,7 +57,8 @@ def keypoints(
     def say(line: str) -> None:
         print(line, file=sys.stderr, flush=True)
 
-    found = train(settings, out, start, device, jobs or len(os.sched_getaffinity(0)), say)
+    with sole_writer(out, "train"):
+        found = train(settings, out, start, device, jobs or len(os.sched_getaffinity(0)), say)
     for key, value in found.items():
         print(f"{key}: {value}")
     print(out / "weights.safetensors")

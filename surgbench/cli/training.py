@@ -13,7 +13,8 @@ from pydantic import Field
 from surgbench.cli.progress import Bar, progress
 from surgbench.config import Count, Section, locate, parse_model, read_yaml
 from surgbench.errors import SurgbenchError
-from surgbench.files import sha256_file, write_atomic
+from surgbench.extras import not_installed
+from surgbench.files import PARTIAL_SUFFIX, sha256_file, write_atomic
 from surgbench.generators.tip_masks import TipMasks, TipMaskSettings, in_published_space
 from surgbench.instrument import load_instrument
 from surgbench.keypoints.accuracy import accuracy, outcome
@@ -22,10 +23,11 @@ from surgbench.trackers.keypoints.heatmaps.detector import TipDetector
 from surgbench.trackers.keypoints.heatmaps.model import WEIGHTS, load_network
 from surgbench.trackers.keypoints.heatmaps.network import NetworkSettings
 from surgbench.trackers.keypoints.heatmaps.patches import cut_patches
-from surgbench.trackers.keypoints.heatmaps.training import LOG, Training, TrainingSettings
+from surgbench.trackers.keypoints.heatmaps.training import LOG, STATE, Training, TrainingSettings
 
 CONFIG = "config.json"
 ACCURACY = "accuracy.json"
+CURVE = "curve.png"
 
 
 class Counts(Section):
@@ -84,6 +86,7 @@ def train(
             instrument, or the training diverges.
     """
     load_instrument(settings.data.instrument)
+    _refuse_other_content(out)
     size = settings.network.input_px
     identity = {"data": settings.data.model_dump(mode="json"), "masks": settings.masks.model_dump()}
     training = Training(out, settings.network, settings.training, settings.seed, device, identity, start)
@@ -101,7 +104,8 @@ def train(
         with progress("epochs", settings.training.epochs) as bar:
             bar(training.epoch)
             training.run(learnt, held_out, bar, say)
-    draw_curve(out / LOG, out / "curve.png")
+    if not draw_curve(out / LOG, out / CURVE):
+        say(f"{out / CURVE}: left out, for {not_installed(['matplotlib'])}")
     network, _ = load_network(out / WEIGHTS)
     heat, apart = settings.training.least_heat, settings.training.apart_px
     detector = TipDetector(network, settings.network, heat, apart, device)
@@ -111,6 +115,15 @@ def train(
     result = {"seed": settings.seed, "test_masks": len(test), **found}
     write_atomic(out / ACCURACY, (json.dumps(result, indent=1) + "\n").encode())
     return result
+
+
+def _refuse_other_content(out: Path) -> None:
+    """Raise where a folder holds what no training has written."""
+    own = {WEIGHTS, CONFIG, ACCURACY, CURVE, LOG, STATE}
+    names = sorted(path.name for path in out.iterdir()) if out.is_dir() else []
+    strangers = [name for name in names if name not in own and not name.endswith(PARTIAL_SUFFIX)]
+    if strangers:
+        raise SurgbenchError(f"{out}: holds something else ('{strangers[0]}'); --out needs a new or empty folder")
 
 
 def _measure(detector: TipDetector, masks: TipMasks, bar: Bar) -> dict[str, Any]:

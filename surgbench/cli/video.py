@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -29,13 +30,16 @@ def video(
 ) -> None:
     """Draw what trackers estimated over what they saw: an MP4 and a contact sheet per unit.
 
-    The reference mask's contour is green; each tracker's has a colour of its own.
+    The reference mask's contour is green; each tracker's has a colour of its own. Videos are H.264 where the extra
+    ``video`` is installed.
 
     Example: surgbench video runs --row cmaes --unit 000-left
     """
     from surgbench.cli.progress import progress
     from surgbench.errors import SurgbenchError
+    from surgbench.locks import sole_writer
     from surgbench.records.reader import read_records
+    from surgbench.report.encoders import codec_note
     from surgbench.report.video_options import VideoOptions
     from surgbench.task import find_task
 
@@ -44,5 +48,10 @@ def video(
     tasks = sorted({record.spec.task for record in records})
     if len(tasks) > 1:
         raise SurgbenchError(f"{directories[0]}: runs of several tasks ({', '.join(tasks)}); give folders of one")
-    for path in find_task(tasks[0]).draw(records, options, dataset, out or directories[0] / "video", progress):
-        typer.echo(str(path))
+    note = codec_note()
+    if note is not None:
+        print(note, file=sys.stderr)
+    folder = out or directories[0] / "video"
+    with sole_writer(folder, "video"):
+        for path in find_task(tasks[0]).draw(records, options, dataset, folder, progress):
+            print(path)

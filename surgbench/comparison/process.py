@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import os
-import subprocess
-import sys
 from collections.abc import Iterable
-from multiprocessing.connection import Pipe
 from typing import Any
 
 from surgbench.processes.child import Child, ChildProblemError
@@ -32,15 +29,8 @@ class RendererProcess(Child):
     """
 
     def __init__(self, threads: int, cores: Iterable[int]) -> None:
-        self.timeout_s = TIMEOUT_S
-        self._connection, theirs = Pipe()
-        numbers = ",".join(map(str, cores))
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", "surgbench.comparison.worker", str(theirs.fileno()), numbers],
-            pass_fds=[theirs.fileno()],
-            env={**os.environ, **THREADS, **NO_DRAWING_THREADS, "NUMBA_NUM_THREADS": str(threads)},
-        )
-        theirs.close()
+        environment = {**THREADS, **NO_DRAWING_THREADS, "NUMBA_NUM_THREADS": str(threads)}
+        super().__init__(TIMEOUT_S, "surgbench.comparison.worker", environment, (",".join(map(str, cores)),))
 
     def receive(self) -> tuple[Any, ...]:
         """The child's next message.

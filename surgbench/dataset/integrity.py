@@ -9,6 +9,10 @@ from surgbench.dataset.manifest import MANIFEST_NAME, FileEntry, Manifest
 from surgbench.dataset.masks import read_bytes
 from surgbench.dataset.storage import file_entry
 from surgbench.errors import DatasetError
+from surgbench.leftovers import without_leftovers
+
+# Metadata for catalogues, as `surgbench export --format croissant` makes it to be put here; it says nothing new.
+METADATA_NAME = "croissant.json"
 
 
 def difference(path: Path, data: bytes, listed: FileEntry) -> str | None:
@@ -58,8 +62,8 @@ def check_files(
             problem = examine(file, data) if file in expected else None
         if problem is not None:
             problems.append(problem)
-    known = {*manifest.files, MANIFEST_NAME}
-    for place in sorted(root.rglob("*")):
+    known = {*manifest.files, MANIFEST_NAME, METADATA_NAME}
+    for place in sorted(without_leftovers(root.rglob("*"), root)):
         name = place.relative_to(root).as_posix()
         if not place.is_dir() and name not in known:
             problems.append(f"{place}: extra, not listed in {MANIFEST_NAME}")

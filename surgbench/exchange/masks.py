@@ -2,69 +2,36 @@
 
 from __future__ import annotations
 
-import csv
 import math
-import re
-import shutil
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, ClassVar, Literal
 
-import cv2
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
-from surgbench.camera import Camera, read_camera
-from surgbench.camera.undistortion import COEFFICIENTS, Undistortion, is_distorted
-from surgbench.config import Section
-from surgbench.contract import Plugin
-from surgbench.dataset import tables
-from surgbench.dataset.manifest import MANIFEST_NAME, FileEntry, observations_path
-from surgbench.dataset.masks import Mask, decode_png, encode_image, encode_mask, read_bytes
-from surgbench.dataset.storage import file_entry, storage_error
-from surgbench.dataset.writer import write_files
-from surgbench.errors import ConfigError, DatasetError
+from surgbench.camera.options import CameraOptions
+from surgbench.contract import Mask, Plugin
+from surgbench.dataset.storage import check_new
+from surgbench.errors import ConfigError
+from surgbench.exchange.mask_options import MaskOptions
 from surgbench.geometry import FloatArray
-from surgbench.instrument import load_instrument, save_instrument
-from surgbench.tasks.instrument.format import (
-    IMAGE_KIND,
-    Arm,
-    InstrumentManifest,
-    SequenceEntry,
-    instrument_folder,
-    observed_path,
-)
-from surgbench.tasks.instrument.tables import KEYPOINT_COLUMNS, READING_COLUMNS, arm_columns
-from surgbench.version import __version__
+from surgbench.instrument import load_instrument
+from surgbench.instrument.arms import load_arm
+from surgbench.pictures import as_rgb
+from surgbench.recordings.beside import BesideOptions
+from surgbench.recordings.coding import WHOLE, Coding, Told, read_coding
+from surgbench.recordings.files import read_picture
+from surgbench.recordings.folder import Recording, find_masks, open_masks, read_recording, recording_folder
+from surgbench.recordings.names import Stamps
+from surgbench.recordings.shares import Shares
+from surgbench.tasks.instrument.footage import BOTH, Footage, Shot
+from surgbench.tasks.instrument.format import ARMS, ROBOT_ARM, Arm, MaskKind
+from surgbench.tasks.instrument.imported import write_import
 
-CAMERA_NAME = "camera"
-IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
-JOINT_COLUMNS = ("q1", "q2", "q3")
-TIP_COLUMNS = ("u1", "v1", "u2", "v2")
 SEQUENCE_ID = "000"
 
-
-@dataclass(frozen=True)
-class Recording:
-    """What lies in a folder that is to be imported.
-
-    Attributes:
-        numbers: Frame numbers in order.
-        masks: Files, one per frame.
-        images: The same, or ``None``.
-        camera: Intrinsics, distortion included.
-        joints: ``(frames, 3)`` readings, or ``None``.
-        tips: ``(frames, 2, 2)`` tip pixels, NaN where missing, or ``None``.
-    """
-
-    numbers: list[int]
-    masks: list[Path]
-    images: list[Path] | None
-    camera: Camera
-    joints: FloatArray | None
-    tips: FloatArray | None
+Arms = Literal["left", "right", "both"]
 
 
 def import_masks(
@@ -72,24 +39,35 @@ def import_masks(
     out: Path,
     *,
     name: str | None = None,
-    fps: float = 30.0,
+    fps: float | None = None,
+    stamps: Stamps = "auto",
     instrument: str = "large_needle_driver",
-    arm: Arm = "left",
+    arm: Arms = "left",
+    told: Told | None = None,
     single_images: bool = False,
+    optics: CameraOptions | None = None,
+    beside: BesideOptions | None = None,
     progress: Callable[[float], None] = lambda frames: None,
+    say: Callable[[str], None] = lambda line: None,
 ) -> int:
     """Turn a folder of masks into a dataset without ground truth.
 
     Args:
-        source: Holds ``masks/*.png``, ``camera.json``, and where they exist ``images/``, ``joints.csv``
-            (frame, q1, q2, q3 in radians) and ``tips.csv`` (frame, u1, v1, u2, v2 in pixels).
+        source: Holds ``masks/`` (PNG, JPEG), ``masks.mp4`` or the like, or ``masks.json`` (RLE); a camera file;
+            where they exist ``images/``, ``joints.csv`` (:func:`surgbench.recordings.readings.read_joints`) and
+            ``tips.csv`` (:func:`surgbench.recordings.tips.read_tips`). Or the file itself that holds the masks.
         out: The dataset's folder: new or empty. It appears when the import is complete.
         name: The dataset's name; the source folder's unless told.
-        fps: Frames per second.
+        fps: Frames per second; 30, or as a video says, unless told.
+        stamps: What numbers in file names count.
         instrument: Built-in name or instrument file.
-        arm: Which arm the masks show.
+        arm: Which arm the masks show; ``both``: two instruments in one mask.
+        told: What is known of how the masks are coded; with ``instances`` each arm gets masks of its own.
         single_images: The masks are unrelated: each becomes a sequence of its own with one frame.
+        optics: The camera's file, and what it does not say; the one in the folder unless told.
+        beside: What ``joints.csv`` and ``tips.csv`` do not say.
         progress: Takes the number of frames just done.
+        say: Takes what was made of the recording, line by line; warnings begin with ``warning:``.
 
     Returns:
         Number of frames.
@@ -98,309 +76,138 @@ def import_masks(
         SurgbenchError: Something in the source is missing or wrong, ``out`` holds something, or the disk is full;
             one line that names it.
     """
-    if not (math.isfinite(fps) and fps > 0):
-        raise ConfigError(f"--fps: must be greater than 0, not {fps:g}")
-    label = re.sub(r"[^A-Za-z0-9_.-]", "-", name or source.resolve().name).lstrip("-_.") or "recording"
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise DatasetError(f"{out}: holds something already; --out needs a new or empty folder")
+    check_fps(fps)
+    told = told or Told(several=arm == BOTH)
+    check_new(out)
     model = load_instrument(instrument)
-    recording = read_recording(source, single_images=single_images)
-    scratch = out.absolute().with_name(f".{out.absolute().name}.importing")
-    try:
-        if scratch.exists():
-            shutil.rmtree(scratch)  # of an import that was killed
-        scratch.mkdir(parents=True)
-        folder = instrument_folder(model.name)
-        files = {
-            path.relative_to(scratch).as_posix(): file_entry(path.read_bytes())
-            for path in save_instrument(model, scratch / folder)
-        }
-        sequences = []
-        count = len(recording.numbers)
-        for part in ([index] for index in range(count)) if single_images else [list(range(count))]:
-            entry = _entry(recording, part, SEQUENCE_ID if not single_images else None, 1.0 / fps, arm, model.name)
-            sequences.append(entry)
-            files |= _write_sequence(recording, part, entry, scratch, progress)
-        manifest = InstrumentManifest(
-            name=label,
-            created_by=f"surgbench {__version__}",
-            origin="imported",
-            configuration={
-                "importer": "masks",
-                "fps": fps,
-                "arm": arm,
-                "single_images": single_images,
-                "undistorted": is_distorted(recording.camera),
-                "source_camera": recording.camera.model_dump(mode="json"),
-            },
-            cameras={CAMERA_NAME: recording.camera.model_copy(update={"distortion": ()})},
-            instruments={model.name: f"{folder}/instrument.yaml"},
-            sequences=tuple(sequences),
-            files=files,
-        )
-        (scratch / MANIFEST_NAME).write_bytes(manifest.to_bytes())
-        scratch.rename(out)
-    except OSError as error:
-        raise storage_error(error, out, "run the same command again") from None
-    finally:
-        shutil.rmtree(scratch, ignore_errors=True)
+    arms = arms_of(arm, told)
+    recording = read_recording(
+        source, model, optics, beside, arms=arms, single_images=single_images, stamps=stamps, fps=fps
+    )
+    coding = read_coding(recording.masks, told)
+    robot_arm = load_arm((beside or BesideOptions()).robot_arm) if recording.arm_joints is not None else None
+    reading = _Reading(recording, coding, arms)
+    count = len(recording.numbers)
+    summary = f"{count} masks, {coding.said}"
+    write_import(
+        out,
+        [reading.footage([index], f"{number:06d}") for index, number in enumerate(recording.numbers)]
+        if single_images
+        else [reading.footage(list(range(count)), SEQUENCE_ID)],
+        name=name or recording_folder(source).resolve().name,
+        instruments=dict.fromkeys(arms, model),
+        configuration={
+            "importer": "masks",
+            "masks": summary,
+            "fps": recording.timing.fps,
+            "arm": arm if coding.groups.keys() == {WHOLE} else "-".join(coding.groups),
+            "single_images": single_images,
+            **(beside.given if beside is not None else {}),
+            **({} if robot_arm is None else {ROBOT_ARM: robot_arm.model_dump(mode="json")}),
+        },
+        progress=progress,
+        tell=False,
+    )
+    for line in (f"{summary}, {reading.shares.said}", *recording.notes):
+        say(line)
+    for line in (*coding.warnings, *reading.shares.warnings(one_arm=len(arms) == 1)):
+        say(f"warning: {line}")
     return count
 
 
-def read_recording(source: Path, *, single_images: bool = False) -> Recording:
-    """Read everything of a recording but its pictures, and check that the pictures are all there.
+class _Reading:
+    """Sequences of a recording's frames, which are read once, in order.
 
-    Raises:
-        DatasetError: Something is missing or wrong; one line that names it.
+    Attributes:
+        shares: How much of the masks read so far is instrument.
     """
-    if not source.is_dir():
-        raise DatasetError(f"{source}: no such folder; expected one with masks/ and camera.json")
-    folder = source / "masks"
-    if not folder.is_dir():
-        raise DatasetError(f"{folder}: missing; expected a folder of masks (000000.png, 000001.png, ...)")
-    masks = _numbered(folder, (".png",))
-    if not masks:
-        raise DatasetError(f"{folder}: holds no masks; expected 000000.png, 000001.png, ...")
-    numbers = sorted(masks)
-    if not single_images:
-        gaps = sorted(set(range(numbers[0], numbers[-1])) - set(numbers))
-        if gaps:
-            raise DatasetError(
-                f"{folder}: the mask of frame {gaps[0]} is missing (frames {numbers[0]} to {numbers[-1]}); "
-                "unrelated images are imported with --single-images"
-            )
-    camera = read_camera(source / "camera.json")
-    if len(camera.distortion) not in COEFFICIENTS:
-        raise DatasetError(
-            f"{source / 'camera.json'}: 'distortion' must have 4, 5, 8, 12 or 14 coefficients (OpenCV's order)"
+
+    def __init__(self, recording: Recording, coding: Coding, arms: tuple[Arm, ...]) -> None:
+        self._recording, self._coding, self._arms = recording, coding, arms
+        self._kinds: tuple[MaskKind, ...] = (BOTH,) if len(arms) > 1 and coding.groups.keys() == {WHOLE} else arms
+        self._pictures = recording.masks.pictures()
+        self.shares = Shares()
+
+    def footage(self, part: list[int], sequence_id: str) -> Footage:
+        """A sequence of some frames, by their places, which come after those of the sequences before."""
+        recording = self._recording
+        return Footage(
+            id=sequence_id,
+            camera=recording.camera,
+            times_s=recording.timing.times_s[part],
+            names=[recording.masks.names[index] for index in part],
+            shots=lambda: map(self._shot, part),
+            arms=self._arms,
+            kinds=self._kinds,
+            images=recording.images is not None,
+            tips=self._of(recording.tips, part),
+            joints=self._of(recording.joints, part),
+            arm_joints=self._of(recording.arm_joints, part),
+            dt_s=recording.timing.dt_s,
+            regular=True,
         )
-    images: list[Path] | None = None
-    if (source / "images").is_dir():
-        found = _numbered(source / "images", IMAGE_SUFFIXES)
-        maskless = sorted(set(found) - set(numbers))
-        if maskless:
-            missing = _renumbered(masks[numbers[0]], maskless[0])
-            raise DatasetError(f"{missing}: the mask of frame {maskless[0]} is missing; every image needs one")
-        lacking = [number for number in numbers if number not in found]
-        if lacking:
-            raise DatasetError(f"{source / 'images'}: the image of frame {lacking[0]} is missing; every mask needs one")
-        images = [found[number] for number in numbers]
-    joints = _read_csv(source / "joints.csv", JOINT_COLUMNS, numbers, complete=True)
-    tips = _read_csv(source / "tips.csv", TIP_COLUMNS, numbers, complete=False)
-    if tips is not None:
-        points = tips.reshape(-1, 2, 2)
-        points[np.isnan(points).any(axis=2)] = np.nan
-        outside = (~camera.contains(points) & ~np.isnan(points[..., 0])).any(axis=1)
-        if outside.any():
-            frame = numbers[int(np.argmax(outside))]
-            size = f"{camera.width}x{camera.height}"
-            raise DatasetError(f"{source / 'tips.csv'}: frame {frame}: a tip lies outside the image of {size} pixels")
-        tips = points
-    return Recording(numbers, [masks[number] for number in numbers], images, camera, joints, tips)
+
+    def _of(self, values: dict[str, FloatArray] | None, part: list[int]) -> dict[Arm, FloatArray] | None:
+        return None if values is None else {arm: values[arm][part] for arm in self._arms}
+
+    def _shot(self, index: int) -> Shot:
+        recording = self._recording
+        found = self._coding.masks(next(self._pictures))
+        self.shares.add(np.logical_or.reduce(list(found.values())), recording.numbers[index])
+        masks: dict[str, Mask] = {kind: found[WHOLE if WHOLE in found else kind] for kind in self._kinds}
+        if recording.images is None:
+            return Shot(masks)
+        camera = recording.camera
+        return Shot(masks, as_rgb(read_picture(recording.images[index], camera.width, camera.height)))
 
 
-def binarise(picture: NDArray[Any]) -> Mask:
-    """The mask that a PNG of any depth shows.
-
-    Args:
-        picture: ``(height, width)`` or ``(height, width, channels)``, an alpha channel is ignored.
-
-    Returns:
-        ``(height, width)`` bool: above 127 in 8-bit pictures, above 0 in 16-bit ones and in 8-bit ones that hold
-        only 0 and 1.
-    """
-    if picture.ndim == 3:
-        picture = picture[..., :3].max(axis=2)
-    if picture.dtype == np.uint8 and picture.max() > 1:
-        return np.asarray(picture > 127)
-    return np.asarray(picture > 0)
-
-
-def _entry(
-    recording: Recording, part: list[int], sequence_id: str | None, dt_s: float, arm: Arm, instrument: str
-) -> SequenceEntry:
-    stems = tuple(recording.masks[index].stem for index in part)
-    return SequenceEntry(
-        id=sequence_id or f"{recording.numbers[part[0]]:06d}",
-        frames=len(part),
-        dt_s=dt_s,
-        camera=CAMERA_NAME,
-        arms=(arm,),
-        instruments={arm: instrument},
-        kinds=(arm,),
-        images=recording.images is not None,
-        keypoints=recording.tips is not None,
-        readings=recording.joints is not None,
-        source_frames=stems,
-    )
-
-
-def _write_sequence(
-    recording: Recording, part: list[int], entry: SequenceEntry, root: Path, progress: Callable[[float], None]
-) -> dict[str, FileEntry]:
-    """Write a sequence's pictures and table; returns what the manifest says of them."""
-    (arm,) = entry.arms
-    camera = recording.camera
-    lens = Undistortion(camera)
-    columns: dict[str, FloatArray] = {tables.TIMESTAMP: np.arange(len(part), dtype=np.float64) * entry.dt_s}
-    if recording.tips is not None:
-        tips = _undistort_points(recording.tips[part], camera) if is_distorted(camera) else recording.tips[part]
-        columns |= dict(zip(arm_columns(arm, KEYPOINT_COLUMNS), tips.reshape(-1, 4).T, strict=True))
-    if recording.joints is not None:
-        columns |= dict(zip(arm_columns(arm, READING_COLUMNS), recording.joints[part].T, strict=True))
-    files = write_files(root, {observations_path(entry.id): tables.encode_table(columns)})
-    for frame, index in enumerate(part):
-        mask = binarise(_read_picture(recording.masks[index], camera))
-        mask = lens(mask.astype(np.uint8), cv2.INTER_NEAREST) > 0
-        contents = {observed_path(entry.id, arm, frame): encode_mask(mask)}
-        if recording.images is not None:
-            image = lens(_as_rgb(_read_picture(recording.images[index], camera)))
-            contents[observed_path(entry.id, IMAGE_KIND, frame)] = encode_image(image)
-        files |= write_files(root, contents)
-        progress(1)
-    return files
-
-
-def _read_picture(path: Path, camera: Camera) -> NDArray[Any]:
-    data = read_bytes(path)
-    if path.suffix.lower() == ".png":
-        picture = decode_png(data, str(path))
-    else:
-        decoded = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR) if data else None
-        if decoded is None:
-            raise DatasetError(f"{path}: truncated or damaged image")
-        picture = decoded
-    if picture.shape[:2] != (camera.height, camera.width):
-        raise DatasetError(
-            f"{path}: is {picture.shape[1]}x{picture.shape[0]} pixels; camera.json says {camera.width}x{camera.height}"
-        )
-    return picture
-
-
-def _as_rgb(picture: NDArray[Any]) -> NDArray[np.uint8]:
-    if picture.dtype == np.uint16:
-        picture = (picture // np.uint16(257)).astype(np.uint8)
-    if picture.ndim == 2:
-        picture = np.repeat(picture[..., None], 3, axis=2)
-    return np.ascontiguousarray(picture[..., 2::-1], dtype=np.uint8)
-
-
-def _undistort_points(points: FloatArray, camera: Camera) -> FloatArray:
-    """Where ``(..., 2)`` pixels lie in the undistorted image; NaN outside of it and where they are NaN already."""
-    flat = points.reshape(-1, 1, 2)
-    moved = np.asarray(
-        cv2.undistortPoints(np.nan_to_num(flat), camera.matrix, np.array(camera.distortion), P=camera.matrix),
-        np.float64,
-    )
-    moved[np.isnan(flat)] = np.nan
-    moved[~camera.contains(moved)] = np.nan
-    return moved.reshape(points.shape)
-
-
-def _numbered(folder: Path, suffixes: tuple[str, ...]) -> dict[int, Path]:
-    """Pictures of a folder by the number their name ends in.
+def check_fps(fps: float | None) -> None:
+    """Refuse what is no number of frames per second.
 
     Raises:
-        DatasetError: A name has no number, or two have the same.
+        ConfigError: It is none.
     """
-    found: dict[int, Path] = {}
-    for path in sorted(folder.iterdir()):
-        if path.suffix.lower() not in suffixes or path.name.startswith("."):
-            continue
-        digits = re.search(r"(\d+)$", path.stem)
-        if digits is None:
-            raise DatasetError(f"{path}: its name must end in the frame's number, for example 000012{path.suffix}")
-        number = int(digits[1])
-        if number in found:
-            raise DatasetError(f"{path}: is frame {number}, and so is {found[number].name}")
-        found[number] = path
-    return found
+    if fps is not None and not (math.isfinite(fps) and fps > 0):
+        raise ConfigError(f"--fps: must be greater than 0, not {fps:g}")
 
 
-def _renumbered(path: Path, number: int) -> Path:
-    """The same name with another frame's number in as many digits."""
-    return path.with_name(re.sub(r"\d+$", lambda old: f"{number:0{len(old[0])}d}", path.stem) + path.suffix)
-
-
-def _read_csv(path: Path, columns: tuple[str, ...], numbers: list[int], *, complete: bool) -> FloatArray | None:
-    """Read a table of numbers per frame; ``None`` if there is no such file.
-
-    Args:
-        path: The file; its header must be ``frame`` and the columns.
-        columns: Besides ``frame``.
-        numbers: The recording's frames.
-        complete: Every frame must have a row of numbers; otherwise missing rows and empty cells become NaN.
-
-    Returns:
-        ``(len(numbers), len(columns))``.
-
-    Raises:
-        DatasetError: The header is wrong, a value is no number, or a frame is missing, unknown or there twice.
-    """
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except FileNotFoundError:
-        return None
-    except (OSError, UnicodeDecodeError) as error:
-        raise DatasetError(f"{path}: cannot be read as text ({error})") from None
-    rows = list(csv.reader(text.splitlines()))
-    header = ["frame", *columns]
-    if not rows or [cell.strip() for cell in rows[0]] != header:
-        raise DatasetError(f"{path}: line 1 must be '{','.join(header)}'")
-    places = {number: index for index, number in enumerate(numbers)}
-    values = np.full((len(numbers), len(columns)), np.nan)
-    seen: set[int] = set()
-    for line, cells in enumerate(rows[1:], start=2):
-        if not any(cell.strip() for cell in cells):
-            continue
-        if len(cells) != len(header):
-            raise DatasetError(
-                f"{path}: line {line} has {len(cells)} values; expected {len(header)} ({','.join(header)})"
-            )
-        try:
-            number = int(cells[0])
-        except ValueError:
-            raise DatasetError(f"{path}: line {line}: 'frame' must be a whole number, not '{cells[0]}'") from None
-        if number not in places:
-            raise DatasetError(f"{path}: line {line}: there is no mask of frame {number}")
-        if number in seen:
-            raise DatasetError(f"{path}: line {line}: frame {number} is there twice")
-        seen.add(number)
-        for column, cell in enumerate(cells[1:]):
-            if not cell.strip() and not complete:
-                continue
-            value = _number(cell)
-            if value is None or math.isinf(value) or (math.isnan(value) and complete):
-                raise DatasetError(f"{path}: line {line}: '{columns[column]}' must be a finite number, not '{cell}'")
-            values[places[number], column] = value
-    if complete and len(seen) < len(numbers):
-        hole = next(number for number in numbers if number not in seen)
-        raise DatasetError(f"{path}: frame {hole} is missing; every mask needs a row")
-    return values
-
-
-def _number(text: str) -> float | None:
-    try:
-        return float(text)
-    except ValueError:
-        return None
+def arms_of(arm: Arms, told: Told) -> tuple[Arm, ...]:
+    """The arms that a recording's masks show, left before right."""
+    if told.instances:
+        return tuple(one for one in ARMS if one in told.instances)
+    return ARMS if arm == BOTH else (arm,)
 
 
 class MasksImporter(Plugin):
     """A folder of masks with its camera; what it may hold besides, :func:`import_masks` says."""
 
     name: ClassVar[str] = "masks"
-    summary: ClassVar[str] = "masks/*.png and camera.json; optional images/, joints.csv, tips.csv"
+    summary: ClassVar[str] = (
+        "masks/ (PNG, JPEG), masks.mp4 or masks.json and a camera file; images/, joints.csv, tips.csv"
+    )
+    examples: ClassVar[tuple[str, ...]] = (
+        "surgbench import masks recordings/parts --label 10,20,30 --out data/parts",
+        "surgbench import masks recordings/two --instances 1=left,2=right --out data/two",
+    )
 
-    class Config(Section):
+    class Config(MaskOptions, CameraOptions, BesideOptions):
         """Options."""
 
         name: Annotated[str | None, Field(description="The dataset's name; the source folder's unless told.")] = None
-        fps: Annotated[float, Field(description="Frames per second; default: 30.")] = 30.0
+        fps: Annotated[float | None, Field(description="Frames per second; default: 30, or as a video says.")] = None
+        stamps: Annotated[
+            Stamps, Field(description="What numbers in file names count; auto: frames, or times since 1970.")
+        ] = "auto"
         instrument: Annotated[
             str, Field(description="Instrument: a name, or an instrument file; default: large_needle_driver.")
         ] = "large_needle_driver"
-        arm: Annotated[Arm, Field(description="Which arm the masks show; default: left.")] = "left"
+        arm: Annotated[
+            Arms,
+            Field(
+                description="Which arm the masks show; both: two instruments in one mask; default: left.",
+                json_schema_extra={"option": "arms", "also": "arm"},
+            ),
+        ] = "left"
         single_images: Annotated[
             bool, Field(description="The masks are unrelated: each becomes a sequence of one frame.")
         ] = False
@@ -410,8 +217,28 @@ class MasksImporter(Plugin):
 
     def frames(self, source: Path) -> int:
         """How many masks there are."""
-        return len(read_recording(source, single_images=self.config.single_images).numbers)
+        check_fps(self.config.fps)
+        return len(open_masks(find_masks(source)).numbers)
 
-    def run(self, source: Path, out: Path, progress: Callable[[float], None]) -> None:
-        """Make the dataset."""
-        import_masks(source, out, **self.config.model_dump(), progress=progress)
+    def run(self, source: Path, out: Path, progress: Callable[[float], None]) -> list[str]:
+        """Make the dataset; returns what was made of the recording, line by line."""
+        config, lines = self.config, list[str]()
+        import_masks(
+            source,
+            out,
+            name=config.name,
+            fps=config.fps,
+            stamps=config.stamps,
+            instrument=config.instrument,
+            arm=config.arm,
+            told=self._told(),
+            single_images=config.single_images,
+            optics=config,
+            beside=config,
+            progress=progress,
+            say=lines.append,
+        )
+        return lines
+
+    def _told(self) -> Told:
+        return self.config.told(several=self.config.arm == BOTH)

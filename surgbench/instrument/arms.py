@@ -15,6 +15,8 @@ from pydantic import Field, model_validator
 from surgbench.config import Finite, Section, locate, parse_model, read_yaml
 from surgbench.geometry import FloatArray, is_rigid, rigid_transform
 
+DEFAULT_ARM = "classic_400006"
+
 Row = tuple[Finite, Finite, Finite]
 
 

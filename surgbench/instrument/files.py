@@ -12,6 +12,7 @@ from surgbench.errors import ConfigError
 from surgbench.files import write_atomic
 from surgbench.instrument.meshes import load_mesh
 from surgbench.instrument.model import Instrument, LinkMesh
+from surgbench.instrument.plausibility import check_instrument
 from surgbench.instrument.shapes import join_meshes, loft_mesh
 from surgbench.instrument.spec import InstrumentSpec, MeshFile
 
@@ -27,7 +28,8 @@ def load_instrument(name_or_path: str | Path) -> Instrument:
 
     Raises:
         NotFoundError: No built-in instrument has this name.
-        ConfigError: The file or one of its meshes is missing or wrong; the message names file and key.
+        ConfigError: The file or one of its meshes is missing or wrong, or cannot be an instrument in metres; the
+            message names file and key.
 
     Example:
         >>> from surgbench.instrument import load_instrument
@@ -77,6 +79,7 @@ def _load_file(path: Path) -> Instrument:
             meshes[link.name] = join_meshes([loft_mesh(loft) for loft in link.shapes])
     if not meshes:
         raise ConfigError(f"{path}: 'links': no link has 'shapes' or a 'mesh'")
+    check_instrument(spec, meshes, path)
     return Instrument(spec, meshes)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surgbench.errors import ConfigError
+from surgbench.extras import install
 from surgbench.geometry import FloatArray
 from surgbench.instrument.model import LinkMesh
 from surgbench.instrument.shapes import round_vertices
@@ -18,6 +21,8 @@ from surgbench.instrument.spec import MeshFile
 Faces = NDArray[np.int32]
 
 MESH_SUFFIXES = (".stl", ".obj", ".ply")
+# Modules to the packages that they come with, where those are called otherwise.
+PACKAGES = {"PIL": "pillow"}
 
 
 @dataclass(frozen=True)
@@ -150,24 +155,42 @@ def _read(path: Path, link: str) -> tuple[FloatArray, Faces]:
         raise ConfigError(f"{path}: mesh of link '{link}' must be one of {', '.join(MESH_SUFFIXES)}")
     if not path.is_file():
         raise ConfigError(f"{path}: mesh file of link '{link}' is missing")
+    suffix = path.suffix.lower()
     options: dict[str, Any] = {"process": False}
-    if path.suffix.lower() == ".obj":
-        options.update(skip_materials=True, maintain_order=True)
+    source: Any = str(path)
     try:
-        mesh = trimesh.load_mesh(str(path), **options)
+        if suffix == ".obj":
+            options.update(skip_materials=True, maintain_order=True, file_type="obj")
+            source = io.StringIO(_bare_obj(path.read_text(encoding="utf-8", errors="replace")))
+        mesh = trimesh.load_mesh(source, **options)
         if not isinstance(mesh, trimesh.Trimesh):
             mesh = mesh.to_mesh()
         vertices = np.asarray(mesh.vertices, dtype=np.float64)
         faces = np.asarray(mesh.faces, dtype=np.int32).reshape(-1, 3)
     except Exception as error:  # trimesh's readers raise whatever the broken bytes happen to cause
-        # An import error is a reader trying yet another format: it says nothing about the file.
-        reason = str(error).splitlines()[0] if str(error) and not isinstance(error, ImportError) else "damaged"
+        reason = str(error).splitlines()[0] if str(error) else "damaged"
+        if isinstance(error, ImportError):
+            # Of a file that is what its name says, too, for example with a texture; or a reader tries another format.
+            package = PACKAGES.get(error.name or "", error.name or "another package")
+            reason = f"damaged, or of a kind that needs {package}, which is not installed: pip install {package}"
         raise ConfigError(f"{path}: cannot be read as a triangle mesh ({reason})") from None
     if not np.isfinite(vertices).all():
         raise ConfigError(f"{path}: mesh of link '{link}' has vertices that are not finite numbers")
     if len(faces) == 0 or faces.min() < 0 or faces.max() >= len(vertices):
         raise ConfigError(f"{path}: cannot be read as a triangle mesh (no triangles, or vertices missing)")
     return vertices, faces
+
+
+def _bare_obj(text: str) -> str:
+    """An OBJ file's vertices and faces alone: what it says of textures takes another package to read."""
+    kept = []
+    for line in text.replace("\\\n", " ").splitlines():
+        word, _, rest = line.strip().partition(" ")
+        if word == "v":
+            kept.append(line.strip())
+        elif word == "f":
+            kept.append("f " + re.sub(r"/\S*", "", rest))
+    return "\n".join(kept) + "\n"
 
 
 def _merge(vertices: FloatArray, faces: Faces) -> tuple[FloatArray, Faces]:
@@ -217,7 +240,7 @@ def _pymeshlab(vertices: FloatArray, faces: Faces, entry: MeshFile, path: Path, 
     except ImportError as error:
         what = "'close_holes'" if mend else "'max_triangles'"
         if isinstance(error, ModuleNotFoundError) and error.name == "pymeshlab":
-            raise ConfigError(f"{path}: {what} needs pymeshlab: pip install 'surgbench[meshes]'") from None
+            raise ConfigError(f"{path}: {what} needs pymeshlab: {install('pymeshlab')}") from None
         raise ConfigError(
             f"{path}: {what} needs pymeshlab, which does not load ({error}): apt-get install libgl1 libopengl0"
         ) from None

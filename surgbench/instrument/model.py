@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surgbench.geometry import FloatArray, look_at_rotation
-from surgbench.instrument.spec import JOINT_NAMES, InstrumentSpec, LinkPoint
-from surgbench.state import ANGLES, JOINTS, POSITION, JointLimits
+from surgbench.instrument.observability import observable
+from surgbench.instrument.spec import JOINT_NAMES, InstrumentSpec, LinkPoint, Quantity
+from surgbench.state import ANGLES, BETA, JOINTS, POSITION, STATE_SIZE, JointLimits
 
 
 @dataclass(frozen=True)
@@ -56,6 +57,28 @@ class Instrument:
     def _limits(self, key: str) -> JointLimits:
         box = np.array([getattr(self.spec.joints[name], key) for name in JOINT_NAMES], dtype=np.float64)  # type: ignore[index]
         return JointLimits(box[:, 0], box[:, 1])
+
+    @cached_property
+    def observable(self) -> frozenset[Quantity]:
+        """What can be seen of its state besides where it is and points: of ``roll`` and the joints' names."""
+        transforms = self.link_transforms(np.zeros(STATE_SIZE))
+        bodies = {
+            name: mesh.vertices_m @ transforms[self.link_index[name], :3, :3].T
+            + transforms[self.link_index[name], :3, 3]
+            for name, mesh in self.meshes.items()
+        }
+        return observable(self.spec, bodies)
+
+    @cached_property
+    def observed(self) -> NDArray[np.bool_]:
+        """``(9,)``: which components of a state can be seen; of the angles beta, the turn about the shaft, may not be.
+
+        What cannot be seen is not scored, and null where states are written for others.
+        """
+        seen = np.ones(STATE_SIZE, dtype=bool)
+        seen[BETA] = "roll" in self.observable
+        seen[JOINTS] = [name in self.observable for name in JOINT_NAMES]
+        return seen
 
     @cached_property
     def link_index(self) -> dict[str, int]:

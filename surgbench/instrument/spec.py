@@ -15,6 +15,8 @@ Vector3 = tuple[Finite, Finite, Finite]
 
 JOINT_NAMES = ("wrist_pitch", "wrist_yaw", "jaw")
 JointName = Literal["wrist_pitch", "wrist_yaw", "jaw"]
+# What an instrument may show of its state besides place and direction: the turn about its shaft, and its joints.
+Quantity = Literal["roll", "wrist_pitch", "wrist_yaw", "jaw"]
 
 
 class CrossSection(Section):
@@ -122,11 +124,26 @@ class Joint(Section):
         for name, (low, high) in (("search_rad", self.search_rad), ("generate_rad", self.generate_rad)):
             if not low < high:
                 raise ValueError(f"{name} must be [lower, upper] with lower < upper")
+            if max(abs(low), abs(high)) > 2 * np.pi:
+                raise ValueError(
+                    f"{name} is [{low:g}, {high:g}], more than a full turn; limits are radians "
+                    f"([{np.deg2rad(low):.4g}, {np.deg2rad(high):.4g}] if these were degrees)"
+                )
+        if self.generate_rad[0] < self.search_rad[0] or self.generate_rad[1] > self.search_rad[1]:
+            raise ValueError(
+                f"generate_rad {list(self.generate_rad)} must lie within search_rad {list(self.search_rad)}: no "
+                "tracker looks for what is beyond"
+            )
         return self
 
 
 class InstrumentSpec(Section):
-    """An instrument file. See ``docs/instruments.md`` for a commented example."""
+    """An instrument file. See ``docs/instruments.md`` for a commented example.
+
+    Attributes:
+        observable: What can be seen of its state besides where it is and points; errors of anything else are not
+            scored. ``None``: the joints that move a body or a tip, and the roll unless the body is round.
+    """
 
     format: Literal["surgbench-instrument-1"]
     name: Annotated[str, Field(pattern=r"^[a-z0-9_]+$")]
@@ -136,6 +153,7 @@ class InstrumentSpec(Section):
     links: Annotated[tuple[Link, ...], Field(min_length=1)]
     tips: tuple[LinkPoint, LinkPoint]
     skeleton: tuple[tuple[LinkPoint, LinkPoint], ...] = ()
+    observable: tuple[Quantity, ...] | None = None
 
     @model_validator(mode="after")
     def _consistent(self) -> InstrumentSpec:
@@ -155,4 +173,8 @@ class InstrumentSpec(Section):
         for point in points:
             if point.link not in seen:
                 raise ValueError(f"unknown link '{point.link}' in tips or skeleton")
+        used = {link.joint for link in self.links}
+        for quantity in self.observable or ():
+            if quantity != "roll" and quantity not in used:
+                raise ValueError(f"observable names '{quantity}', which is the joint of no link")
         return self

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import os
+import signal
 import subprocess
 import sys
+import time
 from collections.abc import Mapping
 from multiprocessing.connection import Pipe
+from threading import Lock
 from typing import Any
 
 from surgbench.processes.service import CALIBRATE
@@ -19,6 +22,9 @@ CALIBRATION_TIMEOUT_S = 300.0
 # The longest wait for a child that loads what it works with, where no longer one is asked for: imports take seconds,
 # and on a busy machine more.
 START_TIMEOUT_S = 120.0
+
+# Between two looks at whether it is there at all, while it says nothing.
+_LOOK_INTERVAL_S = 1.0
 
 
 class ChildProblemError(Exception):
@@ -38,23 +44,31 @@ class ChildProblemError(Exception):
 class Child:
     """A tracker's process. Use it as a context manager: it is gone afterwards, whatever happened.
 
+    So is what it has started: it has a session and a group of its own, which are ended with it. Else the helpers of a
+    tracker would go on working, and whoever reads the output of this command would wait for them.
+
     Args:
         timeout_s: The longest silence that is waited for, once it has said that it is ready.
         module: What it runs.
         environment: What its environment has besides, or otherwise than, this process's.
+        arguments: What the module is told besides.
 
     Attributes:
         timeout_s: May be changed between messages.
     """
 
-    def __init__(self, timeout_s: float, module: str, environment: Mapping[str, str] = THREADS) -> None:
+    def __init__(
+        self, timeout_s: float, module: str, environment: Mapping[str, str] = THREADS, arguments: tuple[str, ...] = ()
+    ) -> None:
         self.timeout_s = timeout_s
         self._connection, theirs = Pipe()
         self._process = subprocess.Popen(
-            [sys.executable, "-m", module, str(theirs.fileno())],
+            [sys.executable, "-m", module, str(theirs.fileno()), *arguments],
             pass_fds=[theirs.fileno()],
             env={**os.environ, **environment},
+            start_new_session=True,
         )
+        self._ending = Lock()
         theirs.close()
 
     def __enter__(self) -> Child:
@@ -69,14 +83,25 @@ class Child:
         return self._process.pid
 
     def kill(self) -> None:
-        """End the process at once; another thread that waits for it is told."""
-        self._process.kill()
+        """End the process and what it has started at once; another thread that waits for it is told."""
+        with self._ending:
+            if self._process.returncode is None:  # else its number may be another's
+                with contextlib.suppress(ProcessLookupError):
+                    os.killpg(self.pid, signal.SIGKILL)
 
     def stop(self) -> None:
         """End the process and hang up."""
-        self._process.kill()
-        self._process.wait()
+        self.kill()
+        self._wait()
         self._connection.close()
+
+    def _wait(self) -> int:
+        """Its exit code, once it has ended; what it has started ends then."""
+        with contextlib.suppress(ChildProcessError):  # waited for already
+            os.waitid(os.P_PID, self.pid, os.WEXITED | os.WNOWAIT)
+        self.kill()  # before its number is given back
+        with self._ending:
+            return self._process.wait()
 
     def send(self, *message: Any) -> None:
         """Tell the child something; a dead child is noticed at the next :meth:`receive`."""
@@ -101,16 +126,36 @@ class Child:
 
     def _receive(self, patience_s: float) -> tuple[Any, ...]:
         try:
-            if not self._connection.poll(patience_s):
+            if not self._answers(patience_s):
                 raise ChildProblemError("timeout", f"no answer within {patience_s:g} s")
             message: tuple[Any, ...] = self._connection.recv()
         except (EOFError, OSError):
-            code = self._process.wait()
+            code = self._wait()
             reason = f"killed by signal {-code}" if code < 0 else f"exited with code {code}"
             raise ChildProblemError("exited", f"the tracker's process {reason}") from None
         if message[0] == "problem":
             raise ChildProblemError(*message[1:])
         return message
+
+    def _answers(self, patience_s: float) -> bool:
+        """Wait for something to receive.
+
+        Raises:
+            EOFError: It has ended, and only what it has started holds the line.
+        """
+        deadline = time.monotonic() + patience_s
+        while not self._connection.poll(max(0.0, min(_LOOK_INTERVAL_S, deadline - time.monotonic()))):
+            if self._has_ended() and not self._connection.poll(0):
+                raise EOFError
+            if time.monotonic() >= deadline:
+                return False
+        return True
+
+    def _has_ended(self) -> bool:
+        try:
+            return os.waitid(os.P_PID, self.pid, os.WEXITED | os.WNOWAIT | os.WNOHANG) is not None
+        except ChildProcessError:  # waited for already
+            return True
 
     def calibrate(self) -> list[float]:
         """Have the reference work timed in there, between messages; milliseconds of each turn.

@@ -6,33 +6,21 @@ import contextlib
 import os
 import signal
 import sys
-import threading
-import time
 import traceback
 from collections.abc import Callable
 from multiprocessing.connection import Connection
 from typing import Any
 
 from surgbench.errors import InvalidAnswerError
+from surgbench.processes.ending import end_all, end_with_parent
+from surgbench.processes.streams import print_whatever_comes
 
-WATCH_INTERVAL_S = 1.0
 # A message that every child answers, with ("calibrated", milliseconds of each turn of the reference work).
 CALIBRATE = ("calibrate",)
 
 Tell = Callable[..., None]
 # Takes what to send in between, and a message; returns the answer, a tuple.
 Answer = Callable[..., tuple[Any, ...]]
-
-
-def end_with_parent(parent: int) -> None:
-    """End this process when its parent is gone, whatever it is busy with."""
-
-    def watch() -> None:
-        while os.getppid() == parent:
-            time.sleep(WATCH_INTERVAL_S)
-        os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()
 
 
 def serve_parent(answer: Answer) -> None:
@@ -44,8 +32,12 @@ def serve_parent(answer: Answer) -> None:
     end_with_parent(os.getppid())
     # Ctrl-C is the parent's to handle; what a plug-in prints must not end up in the command's output.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    print_whatever_comes()  # before stdout is another file: the stream may believe that it can seek in it
     os.dup2(2, 1)
-    serve(Connection(int(sys.argv[1])), answer)
+    line = int(sys.argv[1])
+    os.set_inheritable(line, False)  # a program that a plug-in starts would hold it open
+    serve(Connection(line), answer)
+    end_all()
 
 
 def calibrate() -> tuple[Any, ...]:

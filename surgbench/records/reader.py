@@ -12,6 +12,7 @@ from pydantic import ValidationError
 
 from surgbench.errors import DatasetError, NotFoundError
 from surgbench.geometry import FloatArray
+from surgbench.leftovers import without_leftovers
 from surgbench.records.format import FORMAT_STEM, FORMATS, RECORD_FORMAT, SKIPPED, Record
 from surgbench.records.seal import SEAL, check_seal
 from surgbench.task import find_task
@@ -114,7 +115,8 @@ def read_records(directories: Iterable[Path]) -> list[Record]:
     for directory in directories:
         if not directory.is_dir():
             raise DatasetError(f"{directory}: no such folder of records (make one with: surgbench run … --out DIR)")
-        found = [record for path in sorted(directory.rglob("*.json")) if (record := read_record(path)) is not None]
+        paths = sorted(without_leftovers(directory.rglob("*.json"), directory))
+        found = [record for path in paths if (record := read_record(path)) is not None]
         if not found:
             raise DatasetError(f"{directory}: holds no records (*.json with format {RECORD_FORMAT})")
         for record in found:

@@ -13,30 +13,31 @@ import numpy as np
 from surgbench.errors import SurgbenchError
 from surgbench.files import PARTIAL_SUFFIX
 from surgbench.report.drawing import Picture
+from surgbench.report.encoders import Encoder, best_encoder
 
 
 def write_video(path: Path, pictures: Iterable[Picture], fps: float) -> None:
-    """Write an MP4; the file is there whole or not at all.
+    """Write an MP4, in H.264 where there is an encoder (:mod:`surgbench.report.encoders`).
+
+    The file is there whole or not at all.
 
     Raises:
         SurgbenchError: It cannot be written.
     """
     # The container is chosen by the ending.
     partial = path.with_name(f"{path.stem}.{os.getpid()}{PARTIAL_SUFFIX}{path.suffix}")
-    writer: cv2.VideoWriter | None = None
+    encoder: Encoder | None = None
     written = 0
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         for picture in pictures:
-            if writer is None:
+            if encoder is None:
                 height, width = picture.shape[:2]
-                writer = cv2.VideoWriter(str(partial), cv2.VideoWriter.fourcc(*"mp4v"), fps, (width, height))
-                if not writer.isOpened():
-                    raise SurgbenchError(f"{path}: cannot be written (OpenCV could not open it for MP4 video)")
-            writer.write(picture[..., ::-1])
+                encoder = best_encoder()(partial, width, height, fps)
+            encoder.write(picture)
             written += 1
-        if writer is not None:
-            writer.release()
+        if encoder is not None:
+            encoder.close()
             # OpenCV does not say when a write fails, as on a full disk: see whether it is whole.
             if _frames_in(partial) != written:
                 raise SurgbenchError(f"{path}: cannot be written whole (is the disk full?)")
@@ -44,8 +45,9 @@ def write_video(path: Path, pictures: Iterable[Picture], fps: float) -> None:
     except OSError as error:
         raise SurgbenchError(f"{path}: cannot be written ({error.strerror})") from None
     finally:
-        if writer is not None:
-            writer.release()
+        if encoder is not None:
+            with contextlib.suppress(OSError):  # of a full disk, which has been said
+                encoder.close()
         with contextlib.suppress(NotADirectoryError):
             partial.unlink(missing_ok=True)
 

@@ -34,12 +34,13 @@ def csv(rows: Sequence[Row]) -> str:
 def json(rows: Sequence[Row]) -> str:
     """A list of rows; floats with all their digits, null for missing values."""
     typed = to_rows(to_frame(_own(rows), columns_of(rows)))
-    return json_list([{key: one[key] for key in keys(columns_of([row]))} for row, one in zip(rows, typed, strict=True)])
+    return json_list([{key: one[key] for key in own} for own, one in zip(_own(rows), typed, strict=True)])
 
 
 def _own(rows: Sequence[Row]) -> list[Row]:
     """Each with the columns of its own task only."""
-    return [{key: row[key] for key in keys(columns_of([row]))} for row in rows]
+    own = {name: keys(columns_of([row for row in rows if row["task"] == name])) for name in {r["task"] for r in rows}}
+    return [{key: row.get(key) for key in own[row["task"]]} for row in rows]
 
 
 def markdown(rows: Sequence[Row]) -> str:

@@ -63,12 +63,19 @@ def derive_rows(records: Sequence[Record]) -> list[Row]:
 
 
 def columns(rows: Sequence[Row]) -> tuple[Field, ...]:
-    """The columns that rows have: those of their task, or of all of their tasks, and further ones that have a value."""
+    """The columns that rows have: those of their task, or of all of their tasks, and further ones that a row fills."""
     tasks = [find_task(name) for name in sorted({row["task"] for row in rows})] or [default_task()]
-    own = [column for task in tasks for column in task.columns]
-    further = [column for task in tasks for column in task.further_columns]
-    own += [column for column in further if any(row.get(column.key) is not None for row in rows)]
-    return tuple(dict.fromkeys(own))
+    return tuple(
+        dict.fromkeys(
+            column
+            for task in tasks
+            for column in (*task.columns, *(one for one in task.further_columns if _is_filled(one, rows)))
+        )
+    )
+
+
+def _is_filled(column: Field, rows: Sequence[Row]) -> bool:
+    return any(row.get(column.key) is not None for row in rows)
 
 
 def _place(task: Task, row: Row, group: str) -> tuple[Any, ...]:

@@ -11,10 +11,10 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from surgbench.camera import NEAR_M, Camera
+from surgbench.compiled import compiled
 from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument
 from surgbench.silhouette.evaluator import SilhouetteEvaluator
@@ -174,7 +174,7 @@ def _overlap(masks: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return overlap
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(makes_arrays=True)
 def nearest_surface(points: Any, faces: Any, lens: Any, wanted: Any, depth: Any) -> None:
     """Depth of a union of closed solids at pixels of its silhouette.
 
@@ -209,7 +209,7 @@ def nearest_surface(points: Any, faces: Any, lens: Any, wanted: Any, depth: Any)
                 depth[row, column] = _depth_of_nearest_edge(points, faces, lens, float(column), float(row), corners)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(makes_arrays=True)
 def _bounds(wanted: Any) -> tuple[int, int, int, int]:
     """First row, row after the last, first column and column after the last that hold a wanted pixel."""
     top, bottom, left, right = wanted.shape[0], 0, wanted.shape[1], 0
@@ -221,14 +221,14 @@ def _bounds(wanted: Any) -> tuple[int, int, int, int]:
     return top, bottom, left, right
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@compiled(inline="always", makes_arrays=True)
 def _project(x: float, y: float, z: float, lens: Any, corner: Any) -> None:
     corner[0] = lens.fx * x / z + lens.cx
     corner[1] = lens.fy * y / z + lens.cy
     corner[2] = 1.0 / z
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(makes_arrays=True)
 def _clip(points: Any, face: Any, lens: Any, corners: Any) -> int:
     """Corners ``(u, v, 1/z)`` of the part of a face beyond the near plane; returns how many: 0, 3 or 4."""
     count = 0
@@ -249,7 +249,7 @@ def _clip(points: Any, face: Any, lens: Any, corners: Any) -> int:
     return count
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(makes_arrays=True)
 def _inverse_depth_plane(points: Any, face: Any, lens: Any) -> tuple[float, float, float]:
     """``(a, b, c)`` such that ``1/z = a u + b v + c`` on the face's plane; not finite if seen edge-on."""
     o, p, q = points[face[0]], points[face[1]], points[face[2]]
@@ -261,7 +261,7 @@ def _inverse_depth_plane(points: Any, face: Any, lens: Any) -> tuple[float, floa
     return a, b, nz / offset - a * lens.cx - b * lens.cy
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(makes_arrays=True)
 def _fill(corners: Any, k: int, plane: Any, box: Any, entered: Any, depth: Any) -> None:
     """Enter the triangle of corners 0, k - 1 and k: its inverse depth if it is a front face, and the count."""
     a, b, c = 0, k - 1, k
@@ -297,13 +297,13 @@ def _fill(corners: Any, k: int, plane: Any, box: Any, entered: Any, depth: Any) 
                 depth[row, column] = max(depth[row, column], w)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@compiled(inline="always", makes_arrays=True)
 def _column(u: float, box: Any) -> int:
     """First column at or right of u, within the box."""
     return int(np.ceil(min(max(u, float(box[2])), float(box[3]))))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(makes_arrays=True)
 def _depth_of_nearest_edge(points: Any, faces: Any, lens: Any, u: float, v: float, corners: Any) -> float:
     """Depth of the mesh where an edge, as cut by the near plane, comes nearest to a pixel."""
     nearest, w = np.inf, 0.0

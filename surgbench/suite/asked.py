@@ -38,3 +38,21 @@ class Conditions(Section):
     repeats: Count = 1
     timeout_s: Annotated[float, Field(gt=0)] = 120.0
     device: Device = "cpu"
+
+
+class FileRequest(Section):
+    """What is asked of a file of estimates that another program made.
+
+    Attributes:
+        name: Of the row.
+        time_column: Holds the milliseconds that each frame took.
+        arms: Each arm was tracked alone, or pairs in one mask; what the dataset has, unless told.
+        frames: Only the first so many frames of each sequence.
+        joints: They were made with joint readings.
+    """
+
+    name: Annotated[str, Field(pattern=f"^{NAME_PATTERN}$")]
+    time_column: str | None = None
+    arms: Literal["single", "dual"] | None = None
+    frames: Count | None = None
+    joints: bool = False

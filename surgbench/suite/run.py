@@ -17,10 +17,12 @@ from typing import Any, NamedTuple
 from surgbench.dataset.base import Dataset
 from surgbench.errors import DatasetError, SurgbenchError
 from surgbench.files import PARTIAL_SUFFIX, canonical_json, write_atomic
+from surgbench.leftovers import without_leftovers
+from surgbench.locks import LOCK_SUFFIX
 from surgbench.records.format import FORMATS, SKIPPED
 from surgbench.records.reader import check_written
 from surgbench.records.seal import check_seal, sealed
-from surgbench.suite.claim import LOCK_SUFFIX, cannot_write, claim
+from surgbench.suite.claim import cannot_write, claim
 from surgbench.suite.environment import environment
 from surgbench.suite.head import head, skipped
 from surgbench.suite.plug import edited
@@ -80,7 +82,7 @@ def check_output(out: Path) -> None:
         raise SurgbenchError(f"{out}: is a dataset; give records a folder of their own with --out")
     ours = {"leaderboard.csv", "leaderboard.md", "leaderboard.json"}
     passing = (PARTIAL_SUFFIX, LOCK_SUFFIX)
-    names = sorted(path.name for path in out.iterdir() if path.is_file())
+    names = sorted(path.name for path in without_leftovers(out.iterdir()) if path.is_file())
     strangers = [name for name in names if name not in ours and not name.endswith(passing)]
     if strangers:
         raise SurgbenchError(f"{out}: holds something else ('{strangers[0]}'); records need a folder of their own")

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surgbench.errors import DatasetError, InvalidAnswerError
-from surgbench.geometry import FloatArray, inverse_transform, is_rigid
+from surgbench.geometry import FloatArray, inverse_transform, is_rigid, nearest_rotation, rigid_transform
 from surgbench.viewpoint.camera_arm import CameraArm
 from surgbench.viewpoint.contract import ViewCommand, ViewpointObservation, ViewpointScene
 from surgbench.viewpoint.placement import CONSTRAINTS
@@ -26,8 +26,9 @@ from surgbench.viewpoint.trial import Trial
 from surgbench.viewpoint.workspace import NoGoZone, Workspace
 
 SERVO_LAG_S = 0.015
-# A commanded pose may be this far from a rigid transform.
-RIGID_TOLERANCE = 1e-4
+# A commanded pose may be this far from a rigid transform in any number, as in single or half precision, or as a file
+# or a message has it, rounded to three digits; the nearest one is taken then.
+RIGID_TOLERANCE = 1e-3
 REPORT_EVERY = 200
 
 
@@ -237,9 +238,7 @@ class Receiver:
         command = answer if isinstance(answer, ViewCommand) else ViewCommand(answer)
         target = _numbers(command.target, "a command")
         if target.shape == (4, 4):
-            if not is_rigid(target, RIGID_TOLERANCE):
-                raise InvalidCommandError("the controller returned a pose that is no rotation and translation")
-            target = self._arm.inverse(self._T_base_world @ target, joints)
+            target = self._arm.inverse(self._T_base_world @ _rigid(target), joints)
         elif target.shape != (6,):
             raise InvalidCommandError(f"the controller returned shape {target.shape}, not (6,) joints or a (4, 4) pose")
         if command.mode not in ("move", "servo"):
@@ -257,6 +256,29 @@ class Receiver:
         goal = self._arm.clip(target)
         clipped = bool((np.abs(goal - target) > 1e-9).any())
         return Received(goal, velocity, clipped, command.active, bool(command.solver))
+
+
+def _rigid(pose: FloatArray) -> FloatArray:
+    """A ``(4, 4)`` pose as it is, or the nearest rigid one.
+
+    Raises:
+        InvalidCommandError: That is too far.
+    """
+    if is_rigid(pose):
+        return pose
+    nearest = rigid_transform(nearest_rotation(pose[:3, :3]), pose[:3, 3])
+    if (off := float(np.abs(pose[3] - nearest[3]).max())) > RIGID_TOLERANCE:
+        raise InvalidCommandError(
+            f"the controller returned a pose whose last row is {off:.2g} off 0, 0, 0, 1 "
+            f"(tolerance {RIGID_TOLERANCE:g}); is it transposed?"
+        )
+    if (off := float(np.abs(pose - nearest).max())) > RIGID_TOLERANCE:
+        kind = "a mirror image, " if np.linalg.det(pose[:3, :3]) < 0 else ""
+        raise InvalidCommandError(
+            f"the controller returned a pose whose rotation is no rotation: {kind}{off:.2g} off the nearest "
+            f"(tolerance {RIGID_TOLERANCE:g}, of its numbers)"
+        )
+    return nearest
 
 
 def _numbers(value: Any, what: str) -> FloatArray:

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from collections.abc import Iterator
+from typing import Any
 
 import pytest
+import typer
 from typer.testing import CliRunner
 
 import surgbench
@@ -20,6 +23,9 @@ COMMANDS = [
     ("report",),
     ("reproduce",),
     ("video",),
+    ("export",),
+    ("score",),
+    ("track",),
     ("list",),
     ("bench", "silhouettes"),
     ("bench", "keypoints"),
@@ -35,6 +41,22 @@ def test_help_shows_an_example(command: tuple[str, ...]) -> None:
     assert f"Example: surgbench {' '.join(command)}" in " ".join(result.output.split())
 
 
+def all_commands(group: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
+    """Every command there is, groups too, by what is typed for it."""
+    for name in group.list_commands(None):
+        command = group.get_command(None, name)
+        yield (*path, name), command
+        if hasattr(command, "list_commands"):
+            yield from all_commands(command, (*path, name))
+
+
+def test_no_command_is_without_an_example() -> None:
+    found = dict(all_commands(typer.main.get_command(app)))
+    assert set(COMMANDS) <= set(found)
+    bare = [" ".join(path) for path, one in found.items() if f"Example: surgbench {' '.join(path)}" not in one.help]
+    assert not bare
+
+
 def test_version_is_the_packages() -> None:
     assert CliRunner().invoke(app, ["--version"]).output.strip() == f"surgbench {surgbench.__version__}"
 
@@ -47,6 +69,7 @@ def test_version_is_the_packages() -> None:
         ("filters", "kalman"),
         ("keypoints", "observed"),
         ("keypoints", "resnet18"),
+        ("exporters", "bop"),
         ("presets", "mini"),
         ("suites", "demo"),
         ("tables", "table1"),

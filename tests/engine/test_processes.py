@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
+from commandline import wait_until
 
 from surgbench.processes import reference_work
 from surgbench.processes.child import Child, ChildProblemError
@@ -88,3 +91,71 @@ def test_the_reference_work_is_the_one_that_its_unit_was_measured_with() -> None
     assert (*counts, *work._large.shape, *work._samples.shape) == (29, 130, 5, 320, 320, 70, 9)
     assert reference_work._scan(work._polygons, work._sums, work._crossings) == 1233573
     assert REFERENCE_MS == 10.9
+
+
+# A tracker's process with a helper, which would go on for an hour.
+STARTER = """
+from __future__ import annotations
+import os, subprocess
+from surgbench.processes.service import serve_parent
+
+def answer(tell, kind):
+    if kind == "exit":
+        os._exit(3)
+    return ("helper", subprocess.Popen(["sleep", "3600"], close_fds=False).pid)
+
+if __name__ == "__main__":
+    serve_parent(answer)
+"""
+
+
+@pytest.fixture
+def starter(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    (tmp_path / "some_starter.py").write_text(STARTER)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=":")
+    return "some_starter"
+
+
+def is_gone(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
+    except OSError:
+        return True
+
+
+def helper_of(child: Child) -> int:
+    child.send("start")
+    pid = child.ready()[1]
+    assert isinstance(pid, int)
+    assert not is_gone(pid)
+    return pid
+
+
+@pytest.mark.parametrize("how", ["the end", "kill"])
+def test_what_a_tracker_has_started_ends_with_it(starter: str, how: str) -> None:
+    with Child(120.0, starter) as child:
+        helper = helper_of(child)
+        if how == "kill":  # as on Ctrl-C, from another thread
+            child.kill()
+            wait_until(lambda: is_gone(helper))
+    wait_until(lambda: is_gone(helper))
+
+
+def test_a_tracker_that_exits_is_noticed_though_its_helper_holds_the_line(starter: str) -> None:
+    with Child(600.0, starter) as child:
+        helper = helper_of(child)
+        child.send("exit")
+        with pytest.raises(ChildProblemError, match="exited with code 3"):
+            child.receive()
+        wait_until(lambda: is_gone(helper))
+
+
+def test_they_end_where_the_command_is_killed(starter: str) -> None:
+    """And whoever reads its output need not wait for them: they have inherited it."""
+    code = (
+        "import os; from surgbench.processes.child import Child; child = Child(120.0, 'some_starter');"
+        "child.send('start'); print(child.ready()[1], flush=True); os.kill(os.getpid(), 9)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    assert is_gone(int(done.stdout))
+    assert done.returncode == -9

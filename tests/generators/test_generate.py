@@ -39,6 +39,7 @@ from surgbench.generators.sequence import make_tables
 from surgbench.generators.trajectories import make_pair
 from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument, load_instrument, save_instrument
+from surgbench.locks import sole_writer
 from surgbench.randomness import generator
 from surgbench.silhouette import SilhouetteEvaluator
 from surgbench.state import JOINTS, POSITION
@@ -696,7 +697,8 @@ def test_a_folder_that_holds_something_else_is_left_alone(made: Path, tmp_path: 
 
 
 def test_two_generations_do_not_share_a_folder(tmp_path: Path) -> None:
-    with resumable._locked(tmp_path), pytest.raises(DatasetError, match="another 'surgbench generate' is at work here"):
+    refusal = pytest.raises(DatasetError, match="another 'surgbench generate' is at work here")
+    with sole_writer(tmp_path, "generate"), refusal:
         generate(plan_dataset(FEW), tmp_path)
 
 

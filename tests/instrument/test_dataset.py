@@ -13,7 +13,7 @@ import pytest
 
 from surgbench.camera import Camera
 from surgbench.dataset import tables
-from surgbench.dataset.masks import decode_mask, decode_png, encode_mask, read_mask
+from surgbench.dataset.masks import decode_mask, encode_mask, read_mask
 from surgbench.dataset.open import open_as
 from surgbench.dataset.validate import validate
 from surgbench.errors import DatasetError
@@ -257,7 +257,7 @@ def test_masks_are_one_bit_png_and_come_back(tmp_path: Path) -> None:
     ("damage", "message"),
     [
         (lambda data: b"", "m.png: empty file"),
-        (lambda data: b"GIF89a" + data, "m.png: not a PNG file"),
+        (lambda data: b"GIF89a" + data, "m.png: not a PNG or JPEG file"),
         (lambda data: data[:-20], "m.png: truncated or damaged PNG"),
         (lambda data: data[:60] + data[-12:], "m.png: truncated or damaged PNG"),
     ],
@@ -265,7 +265,7 @@ def test_masks_are_one_bit_png_and_come_back(tmp_path: Path) -> None:
 def test_damaged_masks_are_named(damage: Callable[[bytes], bytes], message: str) -> None:
     mask = np.random.default_rng(0).random((31, 45)) > 0.5
     with pytest.raises(DatasetError, match=message):
-        decode_png(damage(encode_mask(mask)), "m.png")
+        decode_mask(damage(encode_mask(mask)), "m.png", 45, 31)
 
 
 def test_a_mask_of_the_wrong_size_or_in_colour_is_named() -> None:

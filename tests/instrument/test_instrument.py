@@ -289,7 +289,9 @@ def write_instrument(folder: Path, mesh: trimesh.Trimesh, name: str = "body.stl"
     folder.mkdir(parents=True, exist_ok=True)
     mesh.export(str(folder / name))
     path = folder / "mine.yaml"
-    path.write_text(yaml.safe_dump(spec_of({"path": name, **entry})))
+    spec = spec_of({"path": name, **entry})
+    spec["tips"] = [{"link": "body", "point_m": entry.get("translation_m", [0, 0, 0])}] * 2
+    path.write_text(yaml.safe_dump(spec))
     return path
 
 
@@ -392,7 +394,7 @@ def test_millimetres_rotation_and_translation(tmp_path: Path) -> None:
 def test_inward_parts_are_turned_outward(tmp_path: Path) -> None:
     outward = trimesh.creation.icosphere(subdivisions=1, radius=0.005)
     inward = trimesh.creation.box([0.01] * 3)
-    inward.apply_translation([5.0, 0, 0])
+    inward.apply_translation([0.5, 0, 0])
     inward.invert()
     assert inward.volume < 0
     both = trimesh.util.concatenate([outward, inward])

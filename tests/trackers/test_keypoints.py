@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from safetensors.torch import save_file
 from support import observe, resting_state, scene_of
 
+from surgbench import extras
 from surgbench.camera import Camera
 from surgbench.comparison.keypoints import groups, measure, picture, worst
 from surgbench.contract import Mask
@@ -26,7 +27,6 @@ from surgbench.geometry import FloatArray
 from surgbench.instrument import load_instrument
 from surgbench.keypoints.accuracy import accuracy, outcome, pair_errors
 from surgbench.registry import configure, create, find
-from surgbench.trackers.keypoints import resnet18
 from surgbench.trackers.keypoints.heatmaps.detector import Look, TipDetector
 from surgbench.trackers.keypoints.heatmaps.fusion import without_norms
 from surgbench.trackers.keypoints.heatmaps.model import load_network, save_network
@@ -289,8 +289,8 @@ def test_what_peaks_become(
 
 
 def test_an_engine_that_is_not_installed_is_told_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(resnet18, "find_spec", lambda name: None)
-    with pytest.raises(ConfigError, match=r"the package onnx is not installed \(surgbench\[onnx\]\)"):
+    monkeypatch.setattr(extras, "find_spec", lambda name: None)
+    with pytest.raises(ConfigError, match=r"onnx and onnxruntime are not installed: pip install 'surgbench\[onnx\]'"):
         configure(find("keypoints", "resnet18"), {"engine": "onnxruntime"})
     config = configure(find("keypoints", "resnet18"), {"engine": "auto"})
     assert config is not None

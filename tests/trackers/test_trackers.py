@@ -91,6 +91,15 @@ def test_sobol_normals_are_normal_and_never_repeat() -> None:
     assert all(stats.kstest(column, "norm").pvalue > 0.01 for column in drawn.T)
 
 
+@pytest.mark.parametrize("count", [1, 1023, 1025, 5000])
+def test_as_many_normals_as_asked_for(count: int) -> None:
+    """Of one sequence, whether taken at once or one by one."""
+    at_once = SobolNormals(3, np.random.default_rng(0), block=1024)
+    drawn = np.concatenate([at_once.take(700), at_once.take(count)])
+    one_by_one = SobolNormals(3, np.random.default_rng(0), block=1024)
+    np.testing.assert_array_equal(drawn, np.concatenate([one_by_one.take(1) for _ in range(700 + count)]))
+
+
 # --- filters
 
 

@@ -226,10 +226,11 @@ def test_wrong_files_are_told_in_one_line(
 @pytest.mark.slow
 def test_a_model_that_is_there_is_not_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     shipped = MODELS / "resnet18" / "weights.safetensors"
-    model = tmp_path / "weights.safetensors"
+    model = tmp_path / "model" / "weights.safetensors"
+    model.parent.mkdir()
     model.write_bytes(shipped.read_bytes())
     (tmp_path / "tiny.yaml").write_text(TINY)
-    surgbench("train", "keypoints", tmp_path / "tiny.yaml", "--out", tmp_path, "--jobs", 1, expect=2)
+    surgbench("train", "keypoints", tmp_path / "tiny.yaml", "--out", model.parent, "--jobs", 1, expect=2)
     assert "holds a model of other settings" in capsys.readouterr().err
     assert model.read_bytes() == shipped.read_bytes()
 

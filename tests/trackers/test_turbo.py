@@ -242,9 +242,7 @@ def test_a_missing_extra_is_named_in_one_line(small_camera: Camera, monkeypatch:
     import importlib.util
 
     there = importlib.util.find_spec
-    monkeypatch.setattr(
-        "surgbench.trackers.initialisers.turbo.find_spec", lambda name: None if name == "botorch" else there("numpy")
-    )
+    monkeypatch.setattr("surgbench.extras.find_spec", lambda name: None if name == "botorch" else there("numpy"))
     scene = scene_of(small_camera)
     with pytest.raises(ConfigError) as refused:
         TurboInitialiser().initialise(

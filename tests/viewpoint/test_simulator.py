@@ -11,14 +11,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from surgbench.errors import DatasetError
-from surgbench.geometry import FloatArray, inverse_transform
+from surgbench.geometry import FloatArray, inverse_transform, is_rigid, rigid_transform, rotation_from_vector
 from surgbench.tasks.viewpoint.conformance.worlds import DT_S, circling, feature_poses, make_trial
 from surgbench.viewpoint.camera_arm import CameraArm
 from surgbench.viewpoint.contract import ViewCommand, ViewpointObservation, ViewpointScene
 from surgbench.viewpoint.placement import naive_pose
 from surgbench.viewpoint.scores import course_errors, depths, naive_violations, view_errors
 from surgbench.viewpoint.servo import JointServo
-from surgbench.viewpoint.simulator import Course, InvalidCommandError, Simulation, make_scene
+from surgbench.viewpoint.simulator import Course, InvalidCommandError, Simulation, _rigid, make_scene
 from surgbench.viewpoint.trial import Trial
 
 ARM = CameraArm()
@@ -178,7 +178,9 @@ def test_where_the_feature_is_not_measured_the_arm_comes_to_rest_and_nobody_is_a
         (None, "not a command|NaN"),
         (np.full(6, np.nan), "NaN or infinity"),
         (np.zeros(5), r"shape \(5,\)"),
-        (np.diag([2.0, 1, 1, 1]), "no rotation"),
+        (np.diag([2.0, 1, 1, 1]), r"no rotation: 1 off the nearest \(tolerance 0\.001"),
+        (np.diag([-1.0, 1, 1, 1]), "a mirror image"),
+        (rigid_transform(np.eye(3), np.array([0.1, 0.2, 0.3])).T, r"last row is 0\.3 off 0, 0, 0, 1.*transposed"),
         ("left", "str"),
         (ViewCommand(np.zeros(6), mode="fly"), "mode 'fly'"),  # type: ignore[arg-type]
         (ViewCommand(np.zeros(6), mode="servo", velocity=np.zeros(3)), r"velocity of shape \(3,\)"),
@@ -189,6 +191,27 @@ def test_answers_that_are_no_commands_are_told_in_one_line(answer: Any, message:
     with pytest.raises(InvalidCommandError, match=message) as caught:
         simulate(lambda observation, scene: answer, circling(3))
     assert "\n" not in str(caught.value)
+
+
+@given(st.integers(0, 2**32 - 1), st.sampled_from(["rounded", "scaled", "float16", "float32"]))
+def test_a_pose_that_is_nearly_rigid_is_taken_as_the_nearest(seed: int, how: str) -> None:
+    """As a file, a message or a lesser precision has it: the arm goes where the exact pose would have sent it."""
+    rng = np.random.default_rng(seed)
+    pose = rigid_transform(rotation_from_vector(rng.normal(0.0, 1.0, 3)), np.zeros(3))
+    nearly = {
+        "rounded": np.round(pose, 4),
+        "scaled": pose * np.array([[1 + 1e-4] * 3 + [1.0]] * 3 + [[1.0] * 4]),
+        "float16": pose.astype(np.float16).astype(np.float64),
+        "float32": pose.astype(np.float32).astype(np.float64),
+    }[how]
+    taken = _rigid(nearly)
+    assert is_rigid(taken)
+    assert np.abs(taken - pose).max() < {"rounded": 1e-4, "scaled": 1e-12, "float16": 1e-3, "float32": 1e-6}[how]
+
+
+def test_an_exact_pose_stays_as_it_is_to_the_last_bit() -> None:
+    pose = rigid_transform(rotation_from_vector(np.array([0.3, 1.0, -0.4])), np.array([0.1, 0.2, 0.3]))
+    assert _rigid(pose) is pose
 
 
 def test_what_was_done_before_a_bad_answer_is_kept() -> None:

@@ -12,6 +12,7 @@ from surgbench.config import Section
 from surgbench.contract import Plugin, Scene
 from surgbench.geometry import FloatArray, wrap_angle
 from surgbench.state import POSITION, STATE_SIZE, clip_joints
+from surgbench.timing import carried_s
 
 
 @dataclass(frozen=True)
@@ -95,6 +96,8 @@ class KalmanFilter(Plugin):
         faster = config.velocity_noise * (config.fast_velocity_noise if fast else 1.0)
         self._limits = scene.joint_limits
         self._dt_s = PUBLISHED_DT_S if published else scene.dt_s
+        self._scene_dt_s = scene.dt_s
+        self._frames = self._carried = 1.0  # of the step to come: its length, and that of its motion
         self._starts_filtered = config.start == "filtered" or (published and config.start == "auto")
         self._measurement = np.tile((noise.measurement * config.measurement_noise) ** 2, scene.arms)
         process = np.stack([noise.value**2, (noise.velocity * faster) ** 2], axis=-1)
@@ -107,14 +110,19 @@ class KalmanFilter(Plugin):
         self._velocity: FloatArray = np.zeros_like(self._value)
         self._covariance: FloatArray = np.tile(first, (scene.arms, 1))[:, :, None] * np.eye(2)
 
+    def elapse(self, dt_s: float) -> None:
+        """How long it is to the frame to come: the noise is that of as many frames."""
+        self._frames = dt_s / self._scene_dt_s
+        self._carried = carried_s(dt_s, self._scene_dt_s) / self._scene_dt_s
+
     def predict(self) -> FloatArray:
-        """Advance by one frame; returns where its search begins, joints within their limits."""
-        dt = self._dt_s
+        """Advance to the frame to come; returns where its search begins, joints within their limits."""
+        dt = self._dt_s * self._carried
         filtered = self._value.copy()
         self._value = self._value + dt * self._velocity
         transition = np.array([[1.0, dt], [0.0, 1.0]])
         self._covariance = transition @ self._covariance @ transition.T
-        self._covariance[:, [0, 1], [0, 1]] += self._process
+        self._covariance[:, [0, 1], [0, 1]] += self._process * self._frames
         self._value = clip_joints(self._value, self._limits)
         return filtered if self._starts_filtered else self._value.copy()
 

@@ -8,7 +8,6 @@ its loss counts. Of a state and its 180-degree twin only the one with a negative
 from __future__ import annotations
 
 from collections.abc import Callable
-from importlib.util import find_spec
 from typing import Annotated, ClassVar
 
 import numpy as np
@@ -16,6 +15,7 @@ from pydantic import Field
 
 from surgbench.contract import Observation, Plugin, Scene
 from surgbench.errors import ConfigError
+from surgbench.extras import missing
 from surgbench.geometry import FloatArray
 from surgbench.metrics import rotation_error
 from surgbench.search.hypotheses import DISTANCE_M, ELEVATION_DEG, hypothesis_states
@@ -61,11 +61,7 @@ class TurboInitialiser(Plugin):
     @classmethod
     def unavailable(cls) -> str | None:
         """What is missing of the extra ``turbo``, one line; ``None`` where nothing is."""
-        missing = [name for name in MODULES if find_spec(name) is None]
-        if not missing:
-            return None
-        verb = "is" if len(missing) == 1 else "are"
-        return f"{' and '.join(missing)} {verb} not installed: pip install 'surgbench[turbo]'"
+        return missing(MODULES)
 
     def initialise(
         self,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
@@ -10,6 +9,7 @@ from pydantic import Field, model_validator
 
 from surgbench.config import Section
 from surgbench.contract import Observation, Plugin, Scene, View
+from surgbench.extras import missing
 from surgbench.files import sha256_file
 from surgbench.geometry import FloatArray
 from surgbench.trackers.arm_masks import mask_per_arm
@@ -59,11 +59,11 @@ class ResNet18Keypoints(Plugin):
 
         @model_validator(mode="after")
         def _find_engine(self) -> ResNet18Keypoints.Config:
-            missing = next((name for name in ONNX_PACKAGES if find_spec(name) is None), None)
-            if self.engine == "onnxruntime" and missing is not None:
-                raise ValueError(f"engine onnxruntime: the package {missing} is not installed (surgbench[onnx])")
+            lacking = missing(ONNX_PACKAGES)
+            if self.engine == "onnxruntime" and lacking is not None:
+                raise ValueError(f"engine onnxruntime: {lacking}")
             if self.engine == "auto":
-                self.__dict__["engine"] = "torch" if missing else "onnxruntime"
+                self.__dict__["engine"] = "torch" if lacking else "onnxruntime"
             return self
 
         @property
@@ -88,8 +88,7 @@ class ResNet18Keypoints(Plugin):
     @classmethod
     def unavailable(cls) -> str | None:
         """What this machine lacks, or ``None``."""
-        missing = [name for name in ("torch", "safetensors") if find_spec(name) is None]
-        return f"the package {missing[0]} is not installed" if missing else None
+        return missing(("torch", "safetensors"))
 
     def reset(self, scene: Scene) -> None:
         """Load the network, and ask it once, so that no frame pays for that."""

@@ -31,9 +31,10 @@ class SobolNormals:
         return np.asarray(ndtri(np.maximum(self._sobol.random(self._block), 2.0**-31)), dtype=np.float64)
 
     def take(self, count: int) -> FloatArray:
-        """The next ``(count, size)`` vectors."""
-        if self._used + count > len(self._vectors):
-            self._vectors = np.concatenate([self._vectors[self._used :], self._draw()])
+        """The next ``(count, size)`` vectors, however many."""
+        if (missing := self._used + count - len(self._vectors)) > 0:
+            blocks = -(-missing // self._block)
+            self._vectors = np.concatenate([self._vectors[self._used :], *(self._draw() for _ in range(blocks))])
             self._used = 0
         vectors = self._vectors[self._used : self._used + count]
         self._used += count

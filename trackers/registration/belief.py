@@ -12,6 +12,7 @@ import numpy as np
 
 from surgbench.geometry import FloatArray, wrap_angle
 from surgbench.state import JOINTS, POSITION, STATE_SIZE
+from surgbench.timing import carried_s
 from surgbench.trackers.registration.fit import Prior
 
 NO_SHAPE = np.zeros(0)
@@ -23,13 +24,14 @@ class MotionBelief:
 
     Args:
         scale: ``(n,)`` natural step of each component; n is 9 per arm.
-        dt_s: Seconds between frames.
+        dt_s: Seconds between frames, as a rule.
         acceleration: ``(n,)`` standard deviation of the acceleration, constant over a frame, per s².
         velocity: ``(n,)`` standard deviation of the velocities at the beginning, per s.
         bias_rad: Standard deviation of the readings' biases.
         bias_drift_rad: How much they change from frame to frame.
         shape_scale: ``(m,)`` natural step of each unknown of the shape, its standard deviation before the first
             frame; none unless told.
+        settling_s: ``(n,)`` seconds in which a velocity that no frame tells of falls to 1/e; it stays unless told.
     """
 
     def __init__(
@@ -41,6 +43,7 @@ class MotionBelief:
         bias_rad: float,
         bias_drift_rad: float,
         shape_scale: FloatArray = NO_SHAPE,
+        settling_s: FloatArray | float = np.inf,
     ) -> None:
         n = len(scale)
         self._scale = scale
@@ -52,15 +55,13 @@ class MotionBelief:
         # Of what a frame tells directly: the values and the shape.
         self._told = np.concatenate([np.arange(n), np.arange(size - len(shape_scale), size)])
         self._told_scale = np.concatenate([scale, shape_scale])
-        self._transition = np.eye(size)
-        self._transition[:n, n : 2 * n] = dt_s * np.eye(n)
-        # An acceleration a that is constant over a frame moves the value by a dt²/2 and the velocity by a dt.
-        push = np.array([[dt_s**4 / 4, dt_s**3 / 2], [dt_s**3 / 2, dt_s**2]])
-        self._process = np.zeros((size, size))
-        self._process[: 2 * n, : 2 * n] = np.kron(push, np.diag((acceleration / scale) ** 2))
-        self._process[self._biases, self._biases] = (bias_drift_rad / scale[joints]) ** 2
-        shape = self._told[n:]
-        self._process[shape, shape] = SHAPE_DRIFT**2
+        self._dt_s = dt_s
+        self._settling_s = settling_s
+        self._pushes = np.diag((acceleration / scale) ** 2)
+        self._drift = np.zeros(size)  # variance of a frame, of what changes slowly
+        self._drift[self._biases] = (bias_drift_rad / scale[joints]) ** 2
+        self._drift[self._told[n:]] = SHAPE_DRIFT**2
+        self._regular = self._motion(dt_s)
         is_angle = np.ones(STATE_SIZE, dtype=bool)
         is_angle[POSITION] = False
         self._is_angle = np.resize(is_angle, n)
@@ -123,10 +124,26 @@ class MotionBelief:
         beyond = self._mean[shape] ** 2 - np.diag(self._covariance)[shape]
         return float(np.sqrt(max(beyond.mean(), 0.0))) if len(shape) else 0.0
 
-    def predict(self) -> None:
-        """Advance by one frame."""
-        self._mean = self._transition @ self._mean
-        self._covariance = self._transition @ self._covariance @ self._transition.T + self._process
+    def predict(self, step_s: float | None = None) -> None:
+        """Advance to the next frame, which is ``step_s`` seconds away, or as far as frames are unless told."""
+        regular = step_s is None or step_s == self._dt_s
+        transition, process = self._regular if regular else self._motion(step_s or self._dt_s)
+        self._mean = transition @ self._mean
+        self._covariance = transition @ self._covariance @ transition.T + process
+
+    def _motion(self, step_s: float) -> tuple[FloatArray, FloatArray]:
+        """Transition and process noise of a step, ``(size, size)`` each."""
+        n, size = len(self._scale), len(self._drift)
+        transition = np.eye(size)
+        transition[:n, n : 2 * n] = carried_s(step_s, self._dt_s) * np.eye(n)
+        transition[n : 2 * n, n : 2 * n] = np.exp(-step_s / self._settling_s) * np.eye(n)
+        # An acceleration a that is constant over a frame moves the value by a dt²/2 and the velocity by a dt.
+        push = np.array([[step_s**4 / 4, step_s**3 / 2], [step_s**3 / 2, step_s**2]])
+        process = np.zeros((size, size))
+        process[: 2 * n, : 2 * n] = np.kron(push, self._pushes)
+        slow = np.flatnonzero(self._drift)
+        process[slow, slow] = self._drift[slow] * (step_s / self._dt_s)
+        return transition, process
 
     def stand_still(self) -> None:
         """Nothing was seen: no velocity is to carry the state away."""

@@ -11,14 +11,14 @@ from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from surgbench.compiled import compiled
 from surgbench.contract import Mask
 from surgbench.geometry import FloatArray
 from surgbench.silhouette import ContourPoints
 
-_compiled = njit(cache=True, nogil=True, error_model="numpy")
+_compiled = compiled(makes_arrays=True)
 
 
 @_compiled

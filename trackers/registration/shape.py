@@ -14,9 +14,9 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from surgbench.camera import Camera
+from surgbench.compiled import compiled
 from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument
 from surgbench.silhouette import ContourPoints
@@ -78,7 +78,7 @@ class Shape:
         return columns
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(makes_arrays=True)
 def _fill(
     points: Any, normals: Any, arms: Any, links: Any, gradient: Any, jaw_links: Any, jaws: Any, lens: Any,
     reference: bool, columns: Any,

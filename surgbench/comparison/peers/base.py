@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 
 from surgbench.camera import Camera
 from surgbench.contract import Mask
+from surgbench.extras import install, not_installed
 from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument
-
-INSTALL = "pip install 'surgbench[bench]'"
 
 
 class Contestant(ABC):
@@ -40,8 +39,8 @@ class Contestant(ABC):
             import_module(cls.module)
         except ModuleNotFoundError as error:
             if error.name == cls.module:
-                return f"{cls.module} is not installed; {INSTALL}"
-            return f"{cls.module} cannot be loaded ({one_line(error)}); {INSTALL}"
+                return not_installed([cls.module])
+            return f"{cls.module} cannot be loaded ({one_line(error)}); {install(error.name or cls.module)}"
         except Exception as error:  # extension modules raise all kinds where a shared library is missing
             return f"{cls.module} cannot be loaded ({one_line(error)})" + (f"; {cls.system}" if cls.system else "")
         return None

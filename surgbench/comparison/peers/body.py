@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from surgbench.camera import NEAR_M, Camera
+from surgbench.compiled import compiled
 from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument
 
@@ -58,7 +58,7 @@ class Body:
         return slice(max(int(top) - 1, 0), max(min(int(bottom) + 3, camera.height), 0)), columns
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(makes_arrays=True)
 def _bounds(placed: Any, faces: Any, lens: Any) -> Any:
     """Least and largest u and v of what is seen of any face; what is seen of nothing lies left of and above the image.
 

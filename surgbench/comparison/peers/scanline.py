@@ -9,17 +9,17 @@ from __future__ import annotations
 from typing import Any, ClassVar
 
 import numpy as np
-from numba import njit
 
 from surgbench.camera import NEAR_M, Camera
 from surgbench.comparison.peers.base import Peer
 from surgbench.comparison.peers.body import Body
+from surgbench.compiled import compiled
 from surgbench.contract import Mask
 from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(makes_arrays=True)
 def _fill(
     transforms: Any, vertices: Any, link: Any, faces: Any, lens: Any, placed: Any, low: Any, high: Any, image: Any
 ) -> None:

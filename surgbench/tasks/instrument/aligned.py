@@ -12,27 +12,16 @@ import numpy as np
 from surgbench.dataset import tables
 from surgbench.dataset.manifest import MANIFEST_NAME, observations_path
 from surgbench.dataset.masks import read_bytes
-from surgbench.dataset.storage import storage_error
+from surgbench.dataset.storage import new_folder
 from surgbench.dataset.writer import write_files
-from surgbench.errors import DatasetError
 from surgbench.geometry import FloatArray, rotation_vector
 from surgbench.handeye.track import ReadingTrack, Timeline
 from surgbench.tasks.instrument.dataset import InstrumentDataset, Sequence, observation_columns
 from surgbench.tasks.instrument.format import Arm
-from surgbench.tasks.instrument.tables import KINEMATICS_COLUMNS, READING_COLUMNS, arm_columns
+from surgbench.tasks.instrument.tables import ARM_JOINT_COLUMNS, KINEMATICS_COLUMNS, READING_COLUMNS, arm_columns
 
 # Key of the manifest's configuration, which keeps what was done.
 ALIGNED = "lag_frames_taken_out"
-
-
-def check_new(out: Path) -> None:
-    """See that a dataset can be written to a folder.
-
-    Raises:
-        DatasetError: It is there and not empty.
-    """
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise DatasetError(f"{out}: holds something already; --fix-lag needs a new or empty folder")
 
 
 def write_aligned(dataset: InstrumentDataset, lags_frames: Mapping[tuple[str, Arm], float], out: Path) -> None:
@@ -48,11 +37,7 @@ def write_aligned(dataset: InstrumentDataset, lags_frames: Mapping[tuple[str, Ar
         DatasetError: The folder holds something.
         SurgbenchError: The disk is full or something in the way.
     """
-    check_new(out)
-    scratch = out.absolute().with_name(f".{out.absolute().name}.aligning")
-    try:
-        shutil.rmtree(scratch, ignore_errors=True)  # of a call that was killed
-        scratch.mkdir(parents=True)
+    with new_folder(out, "aligning", "--fix-lag") as scratch:
         tabled = {observations_path(sequence.id): sequence for sequence in dataset.sequences}
         files = dict(dataset.manifest.files)
         for file in files:
@@ -68,11 +53,6 @@ def write_aligned(dataset: InstrumentDataset, lags_frames: Mapping[tuple[str, Ar
         configuration = {**dataset.manifest.configuration, ALIGNED: done}
         manifest = dataset.manifest.model_copy(update={"files": files, "configuration": configuration})
         (scratch / MANIFEST_NAME).write_bytes(manifest.to_bytes())
-        scratch.rename(out)
-    except OSError as error:
-        raise storage_error(error, out, "run the same command again") from None
-    finally:
-        shutil.rmtree(scratch, ignore_errors=True)
 
 
 def _aligned(
@@ -89,6 +69,11 @@ def _aligned(
             there = np.isfinite(joints).all(axis=1)
             moved = Timeline(times[there], sequence.dt_s).mix(joints[there], wanted)
             columns |= dict(zip(arm_columns(arm, READING_COLUMNS), moved.T, strict=True))
+        arm_joints = sequence.arm_joints(arm)
+        if arm_joints is not None:
+            there = np.isfinite(arm_joints).all(axis=1)
+            moved = Timeline(times[there], sequence.dt_s).mix(arm_joints[there], wanted)
+            columns |= dict(zip(arm_columns(arm, ARM_JOINT_COLUMNS), moved.T, strict=True))
         if poses is not None:
             at = ReadingTrack(times, poses, sequence.dt_s).at(wanted)
             moved = np.full((len(at), 6), np.nan)

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 from surgbench.metrics import INTERVAL_COVERAGES
 from surgbench.report.column import ROW, VARIANT, Column
+from surgbench.tasks.instrument.records import REFERENCE_JOINTS, REFERENCE_TIPS
 
 MASK = Column("mask_error", "mask error", "", 3, short="mask\nerror", best=True)
 TRUE_MASK = Column("mask_error_true", "true mask error", "", 3, short="true\nmask", best=True, from_width=100)
@@ -14,6 +15,13 @@ TRANSLATION = Column("translation_error_m", "translation", "mm", 2, 1000.0, shor
 TIPS = Column("tip_error_m", "tips", "mm", 2, 1000.0, short="tips\nmm", best=True, from_width=100)
 JOINTS = tuple(Column(f"q{n}_error_rad", f"q{n}", "rad", 3, short=f"q{n}\nrad", best=True) for n in (1, 2, 3))
 KEYPOINTS = Column("keypoint_error_px", "keypoints", "px", 1, short="tips\npx", best=True)
+# What recordings have in place of truth: nobody's best, for they err themselves.
+MARKED_TIPS = Column(REFERENCE_TIPS, "marked tips", "px", 1, short="marked\ntips px")
+READ_JOINTS = tuple(
+    Column(key, f"q{n} from reading", "rad", 3, short=f"q{n} off\nreading")
+    for n, key in enumerate(REFERENCE_JOINTS, start=1)
+)
+ABSENT_FRAMES = Column("absent_frames", "without instrument", short="without\ninstr.")
 
 # Against the robot's readings, of recordings without truth.
 HAND_EYE = (
@@ -35,6 +43,9 @@ COLUMNS = (
     TIPS,
     *JOINTS,
     KEYPOINTS,
+    MARKED_TIPS,
+    *READ_JOINTS,
+    ABSENT_FRAMES,
     Column("start_lag_ms", "start lag", "ms", 1, short="start\nlag ms", from_width=130),
     Column("latency_ms", "latency", "ms", 1, short="time\nms", best=True),
     Column("latency_ms_p95", "p95", "ms", 1, short="p95\nms", from_width=100),

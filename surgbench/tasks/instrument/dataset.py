@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surgbench.camera import Camera
+from surgbench.config import parse_model
 from surgbench.dataset import tables
 from surgbench.dataset.base import Dataset
 from surgbench.dataset.manifest import observations_path
@@ -18,22 +19,28 @@ from surgbench.dataset.masks import Mask, read_bytes, read_image, read_mask
 from surgbench.errors import DatasetError, unknown_name
 from surgbench.geometry import FloatArray, rigid_transform, rotation_from_vector
 from surgbench.instrument import Instrument, load_instrument
+from surgbench.instrument.arms import DEFAULT_ARM, load_arm
+from surgbench.instrument.arms import Arm as RobotArm
 from surgbench.tasks.instrument.auxiliary import AuxiliaryView
 from surgbench.tasks.instrument.format import (
     IMAGE_KIND,
+    ROBOT_ARM,
     Arm,
     InstrumentManifest,
     SequenceEntry,
     clean_mask_path,
+    labels_path,
     observed_path,
     states_path,
 )
 from surgbench.tasks.instrument.tables import (
+    ARM_JOINT_COLUMNS,
     KEYPOINT_COLUMNS,
     KINEMATICS_COLUMNS,
     READING_COLUMNS,
     STATE_COLUMNS,
     arm_columns,
+    label_columns,
 )
 
 
@@ -65,12 +72,16 @@ class Sequence:
         root: The dataset's folder.
         entry: Its part of the manifest.
         cameras: All of the dataset's.
+        robot_arm: What the manifest says of the arm whose joints the observations have; the default one's unless told.
     """
 
-    def __init__(self, root: Path, entry: SequenceEntry, cameras: dict[str, Camera]) -> None:
+    def __init__(
+        self, root: Path, entry: SequenceEntry, cameras: dict[str, Camera], robot_arm: dict[str, Any] | None = None
+    ) -> None:
         self.root = root
         self.entry = entry
         self.camera = cameras[entry.camera]
+        self._robot_arm = robot_arm
         self._auxiliary = {
             name: AuxiliaryView(root, entry.id, name, view, cameras[view.camera], entry.frames, entry.truth)
             for name, view in entry.auxiliary.items()
@@ -164,6 +175,40 @@ class Sequence:
             return None
         return tables.stack(self._observations, arm_columns(arm, READING_COLUMNS))
 
+    def arm_joints(self, arm: Arm) -> FloatArray | None:
+        """``(frames, 6)`` the robot's readings of the whole arm, NaN where one is missing; ``None`` if there are none.
+
+        Yaw, pitch (rad), insertion (m), roll, wrist pitch and wrist yaw (rad): those of
+        :class:`surgbench.instrument.arm.Manipulator`, and the first two of :meth:`readings`.
+        """
+        self._check_arm(arm)
+        if not self.entry.arm_joints:
+            return None
+        return tables.stack(self._observations, arm_columns(arm, ARM_JOINT_COLUMNS))
+
+    def arm_poses(self, arm: Arm) -> FloatArray | None:
+        """``(frames, 4, 4)`` T_base_wrist as the robot reads it, NaN where a reading is missing.
+
+        From :meth:`arm_joints` by forward kinematics of the arm, whose base's place nobody knows; else
+        :meth:`kinematics`. ``None`` if the sequence has neither.
+
+        Raises:
+            ConfigError: What the manifest says of the arm is wrong.
+        """
+        joints = self.arm_joints(arm)
+        if joints is None:
+            return self.kinematics(arm)
+        told = self._robot_arm
+        robot = load_arm(DEFAULT_ARM) if told is None else parse_model(RobotArm, told, f"{self.root}: {ROBOT_ARM}")
+        return robot.forward(joints)
+
+    def labels(self, arm: Arm) -> dict[str, FloatArray]:
+        """Points of an arm that somebody marked: name to ``(frames, 2)`` pixels (u, v), NaN where there is none."""
+        self._check_arm(arm)
+        return {
+            label: tables.stack(self._labels, arm_columns(arm, label_columns(label))) for label in self.entry.labels
+        }
+
     def kinematics(self, arm: Arm) -> FloatArray | None:
         """``(frames, 4, 4)`` the robot's own readings of T_base_tool, NaN where one is missing.
 
@@ -196,6 +241,11 @@ class Sequence:
         return tables.decode_table(read_bytes(path), str(path), self.frames, observation_columns(self.entry))
 
     @cached_property
+    def _labels(self) -> dict[str, FloatArray]:
+        path = self.root / labels_path(self.id)
+        return tables.decode_table(read_bytes(path), str(path), self.frames, labelled_columns(self.entry))
+
+    @cached_property
     def _states(self) -> dict[str, FloatArray]:
         path = self.root / states_path(self.id)
         return tables.decode_table(read_bytes(path), str(path), self.frames, state_columns(self.entry))
@@ -224,9 +274,16 @@ def observation_columns(entry: SequenceEntry) -> list[str]:
             columns += arm_columns(arm, KEYPOINT_COLUMNS)
         if entry.readings:
             columns += arm_columns(arm, READING_COLUMNS)
+        if entry.arm_joints:
+            columns += arm_columns(arm, ARM_JOINT_COLUMNS)
         if entry.T_cam_base:
             columns += arm_columns(arm, KINEMATICS_COLUMNS)
     return columns
+
+
+def labelled_columns(entry: SequenceEntry) -> list[str]:
+    """Columns that a sequence's ``labels.parquet`` has besides ``frame``."""
+    return [column for arm in entry.arms for label in entry.labels for column in arm_columns(arm, label_columns(label))]
 
 
 def state_columns(entry: SequenceEntry) -> list[str]:
@@ -245,7 +302,8 @@ class InstrumentDataset(Dataset[InstrumentManifest]):
 
     def __init__(self, path: Path, manifest: InstrumentManifest, hash_: str) -> None:
         super().__init__(path, manifest, hash_)
-        self.sequences = tuple(Sequence(path, entry, manifest.cameras) for entry in manifest.sequences)
+        robot_arm = manifest.configuration.get(ROBOT_ARM)
+        self.sequences = tuple(Sequence(path, entry, manifest.cameras, robot_arm) for entry in manifest.sequences)
 
     def length(self, sequence: str) -> int:
         """Number of frames of a sequence."""
@@ -301,6 +359,10 @@ class InstrumentDataset(Dataset[InstrumentManifest]):
                     for arm in alone
                 ]
         if not units:
+            if not any(sequence.entry.kinds for sequence in self.sequences):
+                raise DatasetError(
+                    f"{self.path}: has no masks, which trackers work on; import the recording again with --masks"
+                )
             need = "two arms in one mask ('both')" if arms == "dual" else "a mask of one arm alone"
             other = "single" if arms == "dual" else "dual"
             raise DatasetError(f"{self.path}: no sequence has {need}; try --arms {other}")

@@ -20,8 +20,9 @@ from surgbench.tasks.instrument.dataset import InstrumentDataset, InstrumentUnit
 from surgbench.tasks.instrument.judge import frames_that_count, judged_columns
 from surgbench.tasks.instrument.plan import InstrumentSettings
 from surgbench.tasks.instrument.records import ANSWER_COLUMNS, SHARES
+from surgbench.tasks.instrument.references import absent_from_masks, reference_errors
 from surgbench.tasks.instrument.units import UnitData
-from surgbench.tasks.instrument.worker import Answer, Setup
+from surgbench.tasks.instrument.worker import Answer, Setup, waiting
 
 WORKER = "surgbench.tasks.instrument.worker"
 
@@ -64,38 +65,48 @@ def child_setup(job: Job, scene: Scene) -> Setup:
     )
 
 
-def true_states(job: Job, data: UnitData) -> FloatArray | None:
-    """What a filter with ``needs_truth`` is given, ``(T, 9 * arms)``; ``None`` for any other."""
+def true_states(job: Job, data: UnitData, first: int = 0) -> FloatArray | None:
+    """What a filter with ``needs_truth`` is given from a frame on, ``(T, 9 * arms)``; ``None`` for any other."""
     if data.truth is None or not own_settings(job).filter.needs_truth:
         return None
-    return data.truth.reshape(data.frames, -1)
+    return data.truth.reshape(data.frames, -1)[first:]
 
 
-def first_truth(job: Job, data: UnitData) -> FloatArray | None:
-    """What an initialiser with ``needs_truth`` is given, ``(9 * arms,)``; ``None`` for any other."""
+def first_truth(job: Job, data: UnitData, first: int = 0) -> FloatArray | None:
+    """What an initialiser with ``needs_truth`` is given of frame ``first``, ``(9 * arms,)``; ``None`` for any other."""
     if data.truth is None or not own_settings(job).initialiser.needs_truth:
         return None
-    return np.asarray(data.truth[0].reshape(-1))
+    return np.asarray(data.truth[first].reshape(-1))
 
 
-def execute(job: Job, dataset: InstrumentDataset, run: Run) -> dict[str, Any]:
-    """Run a job in a child process and measure what it estimated; see :meth:`surgbench.task.Task.execute`."""
+def execute(job: Job, dataset: InstrumentDataset, run: Run, *, waits: bool = True) -> dict[str, Any]:
+    """Run a job in a child process and measure what it estimated; see :meth:`surgbench.task.Task.execute`.
+
+    Args:
+        job: What is to be run.
+        dataset: What it is run on.
+        run: Gives the child process, and is told how far it is.
+        waits: Tracking begins in the first frame in whose mask an instrument shows; else in the first of all.
+    """
     settings = own_settings(job)
     data = unit_data(job, dataset)
     evaluator = SilhouetteEvaluator(data.instruments, data.camera)
     answers: list[Answer] = []
-    mask_errors: list[tuple[float, float | None]] = []
+    mask_errors: list[tuple[float | None, float | None]] = []
     status, error, trace, initialise_s = "ok", None, None, None
     try:
         with run.child(WORKER, settings.conditions.timeout_s) as child:
             child.send("setup", child_setup(job, data.scene()))
             child.ready()
-            for frame in range(job.frames):
+            first = _first_seen(data, job.frames) if waits else 0
+            run.advance(first)
+            for frame in range(first, job.frames):
                 run.check()
                 mask = data.sequence.mask(data.unit.kind, frame)
                 observation = data.observation(frame, mask)
-                if frame == 0:
-                    initialise_s = _initialise(child, job, data, observation, run)
+                if frame == first:
+                    initialise_s, state = _initialise(child, job, data, observation, run)
+                    answers, mask_errors = [waiting(state)] * first, [(None, None)] * first
                 child.send("step", observation)
                 clean = None if data.truth is None else data.sequence.clean_mask(data.unit.kind, frame)
                 answer: Answer = child.receive()[1]
@@ -114,15 +125,28 @@ def execute(job: Job, dataset: InstrumentDataset, run: Run) -> dict[str, Any]:
     }
 
 
-def _initialise(child: Child, job: Job, data: UnitData, observation: Observation, run: Run) -> float:
-    """Have the first frame's state found; returns the seconds that it took."""
+def _first_seen(data: UnitData, frames: int) -> int:
+    """The frame that tracking begins with.
+
+    Raises:
+        ChildProblemError: There is none.
+    """
+    first = data.first_seen(frames)
+    if first is None:
+        raise ChildProblemError("failed", f"no instrument shows in any of {frames} masks: nothing to start from")
+    return first
+
+
+def _initialise(child: Child, job: Job, data: UnitData, observation: Observation, run: Run) -> tuple[float, FloatArray]:
+    """Have the state of the first frame with an instrument found; returns the seconds that it took, and the state."""
     label = f"{own_settings(job).row_id} {job.unit.id}: finding the instrument"
-    child.send("first", observation, first_truth(job, data), true_states(job, data))
+    first = observation.index
+    child.send("first", observation, first_truth(job, data, first), true_states(job, data, first))
     while (message := child.receive())[0] == "progress":
         run.stage(label, message[1])
     run.stage(label, 1.0)
-    elapsed_s: float = message[2]
-    return elapsed_s
+    state, elapsed_s = message[1:]
+    return float(elapsed_s), state
 
 
 def _mask_errors(
@@ -145,7 +169,7 @@ def _frames(answers: list[Answer]) -> dict[str, list[Any]]:
 
 
 def _errors(
-    data: UnitData, answers: list[Answer], mask_errors: list[tuple[float, float | None]]
+    data: UnitData, answers: list[Answer], mask_errors: list[tuple[float | None, float | None]]
 ) -> dict[str, list[Any] | None]:
     """Errors of all frames; ``None`` where there is no truth to hold them against."""
     errors: dict[str, list[Any] | None] = dict.fromkeys(
@@ -170,15 +194,18 @@ def _errors(
         places = np.where(away[..., None], np.nan, states[..., POSITION])
         scaled = [metrics.translation_error_scaled(places[:, arm], truth[:, arm, POSITION]) for arm in range(shape[1])]
         errors["translation_error_scaled_m"] = _finite(np.array(scaled))
-        lost, any_away = [answer.lost for answer in answers], away.any(axis=1)
-        errors["lost_precision"] = _finite(metrics.lost_precision(lost, any_away))
-        errors["lost_recall"] = _finite(metrics.lost_recall(lost, any_away))
-        coverages = metrics.interval_coverages(states, _deviations(answers, shape), truth)
+        observed = np.stack([instrument.observed for instrument in data.instruments])
+        coverages = metrics.interval_coverages(states, _deviations(answers, shape), truth, observed)
         errors |= {name: _finite(np.where(away, np.nan, values)) for name, values in coverages.items()}
+    else:
+        errors |= {name: _finite(values) for name, values in reference_errors(data, states, away).items()}
+    lost, any_away = [answer.lost for answer in answers], away.any(axis=1)
+    errors["lost_precision"] = _finite(metrics.lost_precision(lost, any_away))
+    errors["lost_recall"] = _finite(metrics.lost_recall(lost, any_away))
     # There is nothing to be held against a silhouette where no instrument shows.
     nothing = np.asarray(away.all(axis=1))
-    observed, clean = zip(*mask_errors, strict=True) if mask_errors else ((), ())
-    errors["mask_error"] = [None if gone else value for value, gone in zip(observed, nothing, strict=True)]
+    seen, clean = zip(*mask_errors, strict=True) if mask_errors else ((), ())
+    errors["mask_error"] = [None if gone else value for value, gone in zip(seen, nothing, strict=True)]
     if data.truth is None:
         errors["mask_error_true"] = None
     else:
@@ -192,7 +219,10 @@ def _errors(
 
 
 def _judged(
-    settings: InstrumentSettings, data: UnitData, answers: list[Answer], mask_errors: list[tuple[float, float | None]]
+    settings: InstrumentSettings,
+    data: UnitData,
+    answers: list[Answer],
+    mask_errors: list[tuple[float | None, float | None]],
 ) -> dict[str, list[float | None]]:
     """What a recording without truth has instead; see :func:`surgbench.tasks.instrument.judge.judged_columns`."""
     states = np.array([answer.state for answer in answers]).reshape(len(answers), len(data.unit.arms), STATE_SIZE)
@@ -201,13 +231,15 @@ def _judged(
 
 
 def out_of_view(data: UnitData, frames: int) -> NDArray[np.bool_]:
-    """In which of a unit's first frames an arm is out of view, ``(frames, arms)``; in none where there is no truth.
+    """In which of a unit's first frames an arm is out of view, ``(frames, arms)``.
 
     That is by the silhouette of its true state, so that it is the same for an arm alone and in a pair, and whatever
-    happens to masks.
+    happens to masks; without truth, by the masks.
     """
+    if data.truth is None:
+        return absent_from_masks(data, frames)
     away = np.zeros((frames, len(data.unit.arms)), dtype=bool)
-    if data.truth is None or not frames:
+    if not frames:
         return away
     camera = data.camera
     nothing = Reference(np.zeros((camera.height, camera.width), dtype=bool))

@@ -50,6 +50,23 @@ AUXILIARY_CONVENTION = {
 }
 
 
+# Added to the conventions of a dataset that has them.
+ARM_JOINTS_CONVENTION = {
+    "arm joints": "all six joints of the arm as the robot reads them: yaw, pitch, insertion, roll, wrist pitch, wrist "
+    "yaw; NaN: no reading",
+}
+
+
+# Key of the manifest's configuration: the arm's file (:mod:`surgbench.instrument.arms`) whose joints these are.
+ROBOT_ARM = "robot_arm"
+
+
+# Likewise.
+LABELS_CONVENTION = {
+    "labels": "points of the instruments as somebody marked them, in labels.parquet; (u, v) pixels, NaN: not marked",
+}
+
+
 class AuxiliaryEntry(Section):
     """A further camera of a sequence, which may move.
 
@@ -75,10 +92,14 @@ class SequenceEntry(Section):
         camera: Key in the manifest's ``cameras``.
         arms: The arms in the picture, left before right.
         instruments: Arm to key in the manifest's ``instruments``.
-        kinds: Mask kinds under ``observed/``.
+        kinds: Mask kinds under ``observed/``; none in a recording without masks.
         images: Whether ``observed/image/`` is there.
         keypoints: Whether observations have tip keypoints.
         readings: Whether observations have joint readings.
+        arm_joints: Whether observations have all six joints of the arm that holds the instrument. Left out of the file
+            where they have not.
+        labels: Names of the points that somebody marked, under ``truth/<id>/``. Left out of the file where there are
+            none.
         truth: Whether ``truth/<id>/`` is there.
         T_cam_base: Arm to the nominal place of its base frame in the camera frame, ``(4, 4)`` row by row, of every arm
             whose tool poses the observations hold; empty where they hold none.
@@ -93,10 +114,12 @@ class SequenceEntry(Section):
     camera: str
     arms: Annotated[tuple[Arm, ...], Field(min_length=1, max_length=2)]
     instruments: dict[Arm, str]
-    kinds: Annotated[tuple[MaskKind, ...], Field(min_length=1)]
+    kinds: tuple[MaskKind, ...]
     images: bool = False
     keypoints: bool = False
     readings: bool = False
+    arm_joints: bool = False
+    labels: tuple[Annotated[str, Field(pattern=r"^[a-z0-9_]+$")], ...] = ()
     truth: bool = False
     T_cam_base: dict[Arm, Annotated[tuple[Finite, ...], Field(min_length=16, max_length=16)]] = {}
     source_frames: tuple[str, ...] = ()
@@ -104,8 +127,9 @@ class SequenceEntry(Section):
 
     @model_serializer(mode="wrap")
     def _without_what_is_not_there(self, serialise: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        # So that the hash of a dataset without auxiliary views does not know of them.
-        return {key: value for key, value in serialise(self).items() if key != "auxiliary" or value}
+        # So that the hash of a dataset without them does not know of them.
+        optional = ("auxiliary", "arm_joints", "labels")
+        return {key: value for key, value in serialise(self).items() if key not in optional or value}
 
     @model_validator(mode="after")
     def _consistent(self) -> SequenceEntry:
@@ -115,6 +139,10 @@ class SequenceEntry(Section):
             raise ValueError("instruments must name one instrument per arm")
         if len(set(self.kinds)) != len(self.kinds):
             raise ValueError("a kind is named twice")
+        if len(set(self.labels)) != len(self.labels):
+            raise ValueError("a label is named twice")
+        if self.truth and not self.kinds:
+            raise ValueError("a sequence with truth must have masks")
         if self.T_cam_base and set(self.T_cam_base) != set(self.arms):
             raise ValueError("T_cam_base must have every arm, or none")
         for arm, numbers in self.T_cam_base.items():
@@ -202,6 +230,11 @@ def states_path(sequence: str) -> str:
     return f"truth/{sequence}/states.parquet"
 
 
+def labels_path(sequence: str) -> str:
+    """Where the points lie that somebody marked in a sequence."""
+    return f"truth/{sequence}/labels.parquet"
+
+
 def instrument_folder(name: str) -> str:
     """Where an instrument's file and meshes lie."""
     return f"instruments/{name}"
@@ -215,6 +248,8 @@ def sequence_files(entry: SequenceEntry) -> list[str]:
     if entry.truth:
         paths.append(states_path(entry.id))
         paths += [clean_mask_path(entry.id, kind, frame) for kind in entry.kinds for frame in range(entry.frames)]
+    if entry.labels:
+        paths.append(labels_path(entry.id))
     for name, view in entry.auxiliary.items():
         folder = view_folder(entry.id, name)
         masks = [(kind, frame) for kind in view.kinds for frame in range(entry.frames)]

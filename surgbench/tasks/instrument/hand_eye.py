@@ -7,11 +7,12 @@ from pathlib import Path
 from typing import Any, cast
 
 from surgbench.dataset.open import open_as
+from surgbench.dataset.storage import check_new
 from surgbench.errors import DatasetError, SurgbenchError
 from surgbench.handeye import TooLittleMotionError
 from surgbench.handeye.table import Judged
 from surgbench.state import split_arms
-from surgbench.tasks.instrument.aligned import check_new, write_aligned
+from surgbench.tasks.instrument.aligned import write_aligned
 from surgbench.tasks.instrument.dataset import InstrumentDataset
 from surgbench.tasks.instrument.format import Arm
 from surgbench.tasks.instrument.judge import frames_that_count, judge, was_given
@@ -42,7 +43,7 @@ def hand_eye(
             line.
     """
     if fix_lag is not None:
-        check_new(fix_lag)
+        check_new(fix_lag, "--fix-lag")
     opened: dict[str, InstrumentDataset] = {}
     sound = [record for record in records if record.frames.index]
     if not sound:

@@ -7,11 +7,13 @@ from collections.abc import Iterator
 from surgbench.suite.settings import Job
 from surgbench.tasks.instrument.dataset import InstrumentDataset
 from surgbench.tasks.instrument.execute import child_setup, first_truth, true_states, unit_data
-from surgbench.tasks.instrument.worker import Answer, Loop
+from surgbench.tasks.instrument.worker import Answer, Loop, waiting
 
 
 def answers(job: Job, dataset: InstrumentDataset) -> Iterator[Answer]:
     """What a job's tracker answers, frame by frame, with the seeds that a recorded run has.
+
+    Nothing where no mask shows an instrument.
 
     Args:
         job: What is run.
@@ -19,9 +21,11 @@ def answers(job: Job, dataset: InstrumentDataset) -> Iterator[Answer]:
     """
     data = unit_data(job, dataset)
     loop = Loop(child_setup(job, data.scene()))
-    for frame in range(job.frames):
+    first = data.first_seen(job.frames)
+    for frame in range(job.frames if first is None else first, job.frames):
         observation = data.observation(frame, data.sequence.mask(data.unit.kind, frame))
-        if frame == 0:
-            state = loop.initialise(observation, first_truth(job, data), lambda _: None)
-            loop.begin(observation, state, true_states(job, data))
+        if frame == first:
+            state = loop.initialise(observation, first_truth(job, data, first), lambda _: None)
+            loop.begin(observation, state, true_states(job, data, first))
+            yield from [waiting(state)] * first
         yield loop.step(observation)

@@ -38,11 +38,11 @@ def judge(sequence: Sequence, arm: Arm, states: FloatArray, counts: NDArray[np.b
         DatasetError: The sequence has no readings of the arm's pose.
         TooLittleMotionError: Too few frames, or too little motion, to say anything; one line.
     """
-    readings = sequence.kinematics(arm)
+    readings = sequence.arm_poses(arm)
     if readings is None:
         raise DatasetError(
             f"{sequence.root}: sequence '{sequence.id}' has no readings of the arm's pose to judge by; "
-            "import a recording with the readings of all joints of its arm"
+            "import a recording with the readings of all joints of its arm (surgbench import masks … --joints-arm)"
         )
     tracked = np.full((sequence.frames, 4, 4), np.nan)
     tracked[: len(states)] = rigid_transform(look_at_rotation(states[:, ANGLES]), states[:, POSITION])
@@ -75,7 +75,8 @@ def judged_columns(
     Returns:
         Empty where there is truth, or nothing to judge by, or where the run was given what it would be judged by.
     """
-    if sequence.entry.truth or not sequence.entry.T_cam_base or was_given(readings, references):
+    read = bool(sequence.entry.T_cam_base) or sequence.entry.arm_joints
+    if sequence.entry.truth or not read or was_given(readings, references):
         return {}
     columns: dict[str, list[float | None]] = {name: [] for name in JUDGED}
     for index, arm in enumerate(arms):

@@ -18,6 +18,11 @@ JUDGED = ("handeye_rotation_rad", "handeye_translation_m", "lag_frames")
 # Values between 0 and 1 of which a mean is a share, and has no spread: of frames, or of components of the state.
 LOST_SHARES = ("lost_precision", "lost_recall")
 SHARES = (*LOST_SHARES, *INTERVAL_COVERAGES)
+# What recordings have in place of truth: marked tips, joint readings, and masks without an instrument (1, else 0).
+REFERENCE_TIPS = "reference_tip_error_px"
+REFERENCE_JOINTS = ("reference_q1_error_rad", "reference_q2_error_rad", "reference_q3_error_rad")
+REFERENCE_ERRORS = (REFERENCE_TIPS, *REFERENCE_JOINTS)
+ABSENT = "absent"
 # What is kept of each answer of the child process, which has an attribute of each name.
 ANSWER_COLUMNS = (
     "start", "state", "confidence", "lost", "standard_deviations", "latency_ms", "latency_optimise_ms",
@@ -74,8 +79,9 @@ class InstrumentRecord(Record):
 
     whole: ClassVar[tuple[str, ...]] = (*PER_ARM, *JUDGED)
     error_names: ClassVar[tuple[str, ...]] = (
-        *POSE_ERRORS, "mask_error", "mask_error_true", *PER_ARM, *JUDGED, *SHARES
-    )  # fmt: skip
+        *(*POSE_ERRORS, "mask_error", "mask_error_true", *PER_ARM, *JUDGED, *SHARES),
+        *(*REFERENCE_ERRORS, ABSENT),
+    )
 
     spec: InstrumentRecordSpec
     frames: InstrumentFrames

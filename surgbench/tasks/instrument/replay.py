@@ -41,11 +41,14 @@ def replay_traces(record: dict[str, Any], dataset: InstrumentDataset, frames: li
     data = unit_data(job, dataset)
     setup = child_setup(job, data.scene())
     loop = Loop(setup)
-    first = data.observation(0, data.sequence.mask(data.unit.kind, 0))
-    loop.begin(first, np.array(recorded["start"][0]), true_states(job, data))
-    traces: dict[int, Trace] = {}
     last = min(max(frames, default=-1), len(recorded["index"]) - 1)
-    for frame in range(last + 1):
+    first = data.first_seen(last + 1)
+    if first is None:
+        return {}  # no tracker was asked about these frames
+    beginning = data.observation(first, data.sequence.mask(data.unit.kind, first))
+    loop.begin(beginning, np.array(recorded["start"][first]), true_states(job, data, first))
+    traces: dict[int, Trace] = {}
+    for frame in range(first, last + 1):
         trace = Trace() if frame in frames else None
         observation = data.observation(frame, data.sequence.mask(data.unit.kind, frame))
         answer = loop.step(observation, trace)

@@ -7,7 +7,7 @@ from surgbench.metrics import POSE_ERRORS
 from surgbench.report.field import count, flag, number, text
 from surgbench.report.row import COMMON_COLUMNS, Row, median, pooled
 from surgbench.report.summary import summarise
-from surgbench.tasks.instrument.records import JUDGED, PER_ARM, SHARES, InstrumentRecord
+from surgbench.tasks.instrument.records import ABSENT, JUDGED, PER_ARM, REFERENCE_ERRORS, SHARES, InstrumentRecord
 
 SETTING_COLUMNS = (
     *text("arms"),
@@ -24,6 +24,11 @@ INSTRUMENT_COLUMNS = (
     *number(*(f"{error}{suffix}" for error in ERRORS for suffix in ("", "_std", "_sem")), *PER_ARM),
     *count("lost_frames"),
     *number(*SHARES),
+)
+# Of recordings alone: rows on datasets with truth have none of these.
+RECORDING_COLUMNS = (
+    *count("absent_frames"),
+    *number(*(f"{error}{suffix}" for error in REFERENCE_ERRORS for suffix in ("", "_std", "_sem"))),
 )
 
 JUDGED_COLUMNS = number(*JUDGED)
@@ -61,8 +66,20 @@ def instrument_row(head: Row, records: list[InstrumentRecord]) -> Row:
     row |= {name: summarise(_by_sequence(records, name)).mean for name in PER_ARM}
     row["lost_frames"] = sum(sum(record.frames.lost) for record in records)
     row |= {name: summarise(_by_sequence(records, name)).mean for name in SHARES}
+    if any(ABSENT in record.errors for record in records):
+        row |= _recording_columns(records)
     judged = {name: summarise(_by_sequence(records, name)).mean for name in JUDGED}
     return row | {name: mean for name, mean in judged.items() if mean is not None}
+
+
+def _recording_columns(records: list[InstrumentRecord]) -> Row:
+    """What a row on a recording has besides."""
+    absent = [record.errors[ABSENT] for record in records if ABSENT in record.errors]
+    row: Row = {"absent_frames": int(sum(values.sum() for values in absent))}
+    for error in REFERENCE_ERRORS:
+        summary = summarise(_by_sequence(records, error))
+        row |= {error: summary.mean, f"{error}_std": summary.std, f"{error}_sem": summary.sem}
+    return row
 
 
 def _by_sequence(records: list[InstrumentRecord], error: str) -> list[list[FloatArray]]:

@@ -17,8 +17,19 @@ READING_COLUMNS = ("q1_rad", "q2_rad", "q3_rad")
 KINEMATICS_COLUMNS = ("base_rx_rad", "base_ry_rad", "base_rz_rad", "base_x_m", "base_y_m", "base_z_m")
 
 
+# All six joints of a da Vinci arm as the robot reads them, in recordings.
+ARM_JOINT_COLUMNS = (
+    "arm_yaw_rad", "arm_pitch_rad", "arm_insertion_m", "arm_roll_rad", "arm_wrist_pitch_rad", "arm_wrist_yaw_rad",
+)  # fmt: skip
+
+
 # T_view_cam of an auxiliary view: rotation vector, then position.
 VIEW_COLUMNS = ("view_rx_rad", "view_ry_rad", "view_rz_rad", "view_x_m", "view_y_m", "view_z_m")
+
+
+def label_columns(label: str) -> tuple[str, str]:
+    """Column names of a marked point, without the arm's."""
+    return (f"{label}_u_px", f"{label}_v_px")
 
 
 def arm_columns(arm: str, names: Sequence[str]) -> list[str]:

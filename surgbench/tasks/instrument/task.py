@@ -16,12 +16,13 @@ if TYPE_CHECKING:
     from surgbench.report.row import Row
     from surgbench.report.video_options import VideoOptions
     from surgbench.reproduce.sheet import Sheet
-    from surgbench.suite.asked import Conditions
+    from surgbench.suite.asked import Conditions, FileRequest
     from surgbench.suite.running import Run
     from surgbench.suite.settings import Job
     from surgbench.tasks.instrument.asked import InstrumentRow
     from surgbench.tasks.instrument.dataset import InstrumentDataset
     from surgbench.tasks.instrument.format import InstrumentManifest
+    from surgbench.tasks.instrument.from_file import FileJob
     from surgbench.tasks.instrument.plan import InstrumentSettings
     from surgbench.tasks.instrument.records import InstrumentRecord
 
@@ -34,7 +35,7 @@ class InstrumentTask(Task):
     default: ClassVar[bool] = True
     made_by: ClassVar[tuple[str, ...]] = tuple(
         f"{__package__}.{name}"
-        for name in ("auxiliary", "dataset", "execute", "judge", "tables", "tips", "units", "worker")
+        for name in ("auxiliary", "dataset", "execute", "judge", "references", "tables", "tips", "units", "worker")
     )
     first_check: ClassVar[str] = "plain sequence"
     may_refuse: ClassVar[tuple[str, ...]] = ("readings", "kinematics", "two arms")
@@ -78,6 +79,12 @@ class InstrumentTask(Task):
 
         return execute(job, dataset, run)
 
+    def from_file(self, dataset: InstrumentDataset, path: Path, asked: FileRequest) -> list[FileJob]:
+        """Poses and joints in a table."""
+        from surgbench.tasks.instrument.from_file import file_jobs
+
+        return file_jobs(dataset, path, asked, self.made_by)
+
     @property
     def record(self) -> type[InstrumentRecord]:
         """A record of an instrument tracker."""
@@ -94,10 +101,10 @@ class InstrumentTask(Task):
 
     @property
     def further_columns(self) -> tuple[Field, ...]:
-        """What the readings of a recording's arms say."""
-        from surgbench.tasks.instrument.rows import JUDGED_COLUMNS
+        """What recordings have in place of truth, and what the readings of their arms say."""
+        from surgbench.tasks.instrument.rows import JUDGED_COLUMNS, RECORDING_COLUMNS
 
-        return JUDGED_COLUMNS
+        return (*RECORDING_COLUMNS, *JUDGED_COLUMNS)
 
     @property
     def shown(self) -> tuple[Column, ...]:

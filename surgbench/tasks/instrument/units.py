@@ -11,6 +11,7 @@ from surgbench.dataset.masks import read_image
 from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument
 from surgbench.keypoints.found import Tips
+from surgbench.metrics import OUT_OF_VIEW_SHARE
 from surgbench.state import STATE_SIZE
 from surgbench.tasks.instrument.asked import Readings
 from surgbench.tasks.instrument.dataset import InstrumentDataset, InstrumentUnit, Sequence
@@ -60,6 +61,17 @@ class UnitData:
     def frames(self) -> int:
         """Number of frames."""
         return self.sequence.frames
+
+    def first_seen(self, frames: int) -> int | None:
+        """The first of so many frames in whose mask an instrument shows, where tracking begins; ``None``: in none.
+
+        What counts is the mask that trackers see: fewer pixels than :data:`surgbench.metrics.OUT_OF_VIEW_SHARE` of all
+        are nothing to start from.
+        """
+        for frame in range(frames):
+            if self.sequence.mask(self.unit.kind, frame).mean() >= OUT_OF_VIEW_SHARE:
+                return frame
+        return None
 
     def scene(self) -> Scene:
         """What stays the same over the sequence."""

@@ -17,24 +17,32 @@ from surgbench.errors import DatasetError, SurgbenchError
 from surgbench.geometry import FloatArray
 from surgbench.state import ALPHA, BETA, GAMMA, JOINTS, POSITION, JointLimits
 from surgbench.tasks.instrument.auxiliary import auxiliary_columns, keypoint_columns, kind_arms, pose_columns
-from surgbench.tasks.instrument.dataset import InstrumentDataset, observation_columns, state_columns
+from surgbench.tasks.instrument.dataset import (
+    InstrumentDataset,
+    labelled_columns,
+    observation_columns,
+    state_columns,
+)
 from surgbench.tasks.instrument.format import (
     IMAGE_KIND,
     Arm,
     AuxiliaryEntry,
     SequenceEntry,
+    labels_path,
     poses_path,
     sequence_files,
     states_path,
     view_folder,
 )
 from surgbench.tasks.instrument.tables import (
+    ARM_JOINT_COLUMNS,
     KEYPOINT_COLUMNS,
     KINEMATICS_COLUMNS,
     READING_COLUMNS,
     STATE_COLUMNS,
     VIEW_COLUMNS,
     arm_columns,
+    label_columns,
 )
 
 # Angles computed in float64 may pass a limit by rounding.
@@ -68,6 +76,8 @@ def validate(dataset: InstrumentDataset, progress: Callable[[float], None] = lam
         camera = cameras[entry.id]
         if observations_path(entry.id) in sound:
             problems += _check_observations(root, entry, camera)
+        if entry.labels and labels_path(entry.id) in sound:
+            problems += _check_labels(root, entry, camera)
         if entry.truth and states_path(entry.id) in sound:
             problems += _check_states(root, entry, limits)
         for name, view in entry.auxiliary.items():
@@ -109,6 +119,11 @@ def _check_observations(root: Path, entry: SequenceEntry, camera: Camera) -> lis
             bad = (np.isinf(readings) | (np.abs(readings) > np.pi)).any(axis=1)
             if bad.any():
                 problems.append(f"{path}: frame {_first(bad)}: a joint reading of the {arm} arm is outside [-pi, pi]")
+        if entry.arm_joints:
+            joints = tables.stack(values, arm_columns(arm, ARM_JOINT_COLUMNS))
+            bad = (np.isinf(joints) | (np.abs(joints) > 2 * np.pi)).any(axis=1)
+            if bad.any():
+                problems.append(f"{path}: frame {_first(bad)}: a joint of the {arm} arm is beyond a full turn")
         if entry.T_cam_base:
             poses = tables.stack(values, arm_columns(arm, KINEMATICS_COLUMNS))
             missing = np.isnan(poses).all(axis=1)
@@ -119,6 +134,20 @@ def _check_observations(root: Path, entry: SequenceEntry, camera: Camera) -> lis
                     f"{path}: frame {_first(bad)}: the {arm} arm's tool pose is not finite, or its rotation vector is "
                     "longer than pi"
                 )
+    return problems
+
+
+def _check_labels(root: Path, entry: SequenceEntry, camera: Camera) -> list[str]:
+    path = root / labels_path(entry.id)
+    try:
+        values = tables.decode_table(read_bytes(path), str(path), entry.frames, labelled_columns(entry))
+    except DatasetError as error:
+        return [str(error)]
+    problems = []
+    for arm in entry.arms:
+        columns = [column for label in entry.labels for column in arm_columns(arm, label_columns(label))]
+        points = tables.stack(values, columns).reshape(-1, len(entry.labels), 2)
+        problems += _keypoint_problems(path, arm, points, camera)
     return problems
 
 

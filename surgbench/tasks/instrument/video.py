@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from surgbench.dataset.open import open_as
-from surgbench.errors import DatasetError, NotFoundError, SurgbenchError, unknown_name
+from surgbench.errors import NotFoundError, SurgbenchError, unknown_name
 from surgbench.report.drawing import (
     ESTIMATE_COLOURS,
     PAPER,
@@ -30,6 +29,7 @@ from surgbench.report.drawing import (
 from surgbench.report.movie import spread_frames, write_video
 from surgbench.report.telling import telling_variants
 from surgbench.report.video_options import VideoOptions
+from surgbench.tasks.instrument.recorded_on import open_recorded
 from surgbench.tasks.instrument.records import InstrumentRecord
 from surgbench.tasks.instrument.scenery import Scenery, Shot
 from surgbench.tasks.instrument.skeletons import BEST_COLOUR, draw_samples, rank_colours
@@ -127,10 +127,13 @@ def sample_sheet(dataset: InstrumentDataset, scenery: Scenery, shots: Sequence[S
     for instrument in scenery.instruments:
         if not instrument.spec.skeleton:
             raise SurgbenchError(f"--samples: instrument '{instrument.name}' has no 'skeleton' in its file to draw")
+    from surgbench.tasks.instrument.from_file import FROM_FILE
     from surgbench.tasks.instrument.replay import replay_traces
 
     rows = []
     for shot in shots:
+        if shot.record.spec.tracker.source.startswith(FROM_FILE):
+            continue  # there is nothing here that could be repeated
         content = json.loads(shot.record.path.read_text(encoding="utf-8"))
         wanted = [frame for frame in frames if shot.state(frame) is not None]
         traces = replay_traces(content, dataset, wanted) if wanted else {}
@@ -198,7 +201,7 @@ def plan(
             continue
         rows = chosen.setdefault((spec.dataset.sha256, spec.unit), {})
         rows.setdefault((spec.row_id, record.settings_hash), record)  # records come in order of their repeats
-    datasets = _datasets(list(chosen), chosen, dataset_path)
+    datasets = open_recorded((one for rows in chosen.values() for one in rows.values()), dataset_path)
     jobs = []
     for (sha256, unit), rows in chosen.items():
         if sha256 in datasets:
@@ -207,31 +210,6 @@ def plan(
     if not jobs:
         raise NotFoundError("no record is of the chosen unit and row together")
     return sorted(jobs, key=lambda job: job.name)
-
-
-def _datasets(
-    keys: list[tuple[str, str]],
-    chosen: dict[tuple[str, str], dict[tuple[str, str], InstrumentRecord]],
-    moved: Path | None,
-) -> dict[str, InstrumentDataset]:
-    from surgbench.tasks.instrument.dataset import InstrumentDataset
-
-    first = {sha256: next(iter(chosen[sha256, unit].values())) for sha256, unit in reversed(keys)}
-    if moved is not None:
-        dataset = open_as(InstrumentDataset, moved)
-        if first and dataset.hash not in first:
-            names = ", ".join(f"'{record.spec.dataset.name}'" for record in first.values())
-            raise DatasetError(f"{moved}: not the dataset that the records were made on ({names}; its hash differs)")
-        return {dataset.hash: dataset}
-    found = {}
-    for sha256, record in first.items():
-        path, name = record.dataset_path, record.spec.dataset.name
-        if path is None or not Path(path).is_dir():
-            raise DatasetError(f"dataset '{name}' is not at {path} any more; say where it is: --dataset PATH")
-        found[sha256] = open_as(InstrumentDataset, path)
-        if found[sha256].hash != sha256:
-            raise DatasetError(f"{path}: changed since the records were made (its hash differs); --dataset OLD_PATH")
-    return found
 
 
 def draw(

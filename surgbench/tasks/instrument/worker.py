@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from surgbench.contract import Estimate, Observation, Scene, Trace, Traceable
+from surgbench.contract import Estimate, Observation, Scene, TimedFilter, Trace, Traceable
 from surgbench.errors import InvalidAnswerError
 from surgbench.geometry import FloatArray
 from surgbench.processes.service import Tell, serve_parent
@@ -24,6 +24,7 @@ from surgbench.state import JOINTS, STATE_SIZE, clip_joints, split_arms
 from surgbench.suite.settings import Plug
 from surgbench.tasks.instrument.asked import Scored
 from surgbench.tasks.instrument.tips import AskedSource
+from surgbench.timing import step_s
 
 
 @dataclass(frozen=True)
@@ -53,7 +54,8 @@ class Answer:
     """One frame's estimate and what it took.
 
     ``latency_keypoints_ms`` is what the tracker waited for the keypoint source: 0 where it did not look at the tips. It
-    is not in ``latency_optimise_ms``. ``latency_filter_ms`` is the filter's ``predict`` and ``update``.
+    is not in ``latency_optimise_ms``. ``latency_filter_ms`` is the filter's ``predict`` and ``update``. All are
+    ``None`` of a frame that no tracker was asked about.
     """
 
     start: FloatArray
@@ -61,10 +63,15 @@ class Answer:
     confidence: float
     lost: bool
     standard_deviations: FloatArray | None
-    latency_ms: float
-    latency_optimise_ms: float
-    latency_keypoints_ms: float
-    latency_filter_ms: float
+    latency_ms: float | None
+    latency_optimise_ms: float | None
+    latency_keypoints_ms: float | None
+    latency_filter_ms: float | None
+
+
+def waiting(first: FloatArray) -> Answer:
+    """Of a frame before any instrument shows: lost, and for want of another the state that tracking will begin with."""
+    return Answer(first.copy(), first.copy(), 0.0, True, None, None, None, None, None)
 
 
 def check_state(value: Any, size: int, who: str) -> FloatArray:
@@ -131,6 +138,7 @@ class Loop:
         self._size = STATE_SIZE * setup.scene.arms
         self._tracker = self._make(setup.tracker)
         self._filter = self._make(setup.filter)
+        self._last_s: float | None = None  # when the last frame was
         self._keypoints = AskedSource(self._make(setup.keypoints), setup.keypoints.name)
 
     @staticmethod
@@ -140,7 +148,7 @@ class Loop:
     def initialise(
         self, observation: Observation, truth: FloatArray | None, progress: Callable[[float], None]
     ) -> FloatArray:
-        """State of the first frame by the initialiser, ``(9 * arms,)``, joints within their limits."""
+        """State of the frame that tracking begins with, by the initialiser, ``(9 * arms,)``, joints within limits."""
         setup, scene = self._setup, self._scene
         self._keypoints.reset(scene)
         observation = self._keypoints.show(observation)
@@ -152,12 +160,13 @@ class Loop:
         )
 
     def begin(self, observation: Observation, state: FloatArray, truth: FloatArray | None = None) -> None:
-        """Start at the first frame's state: warm up on a throw-away tracker, then reset everything.
+        """Start at a frame's state: warm up on a throw-away tracker, then reset everything.
 
         Args:
-            observation: The first frame.
+            observation: The frame: the first in which an instrument shows.
             state: Its state, ``(9 * arms,)``.
-            truth: ``(T, 9 * arms)``, only for a filter with ``needs_truth``; then it starts the first frame too.
+            truth: ``(T, 9 * arms)`` from this frame on, only for a filter with ``needs_truth``; then it starts this
+                frame too.
         """
         setup, scene = self._setup, self._scene
         if truth is not None:
@@ -172,12 +181,18 @@ class Loop:
         self._tracker.reset(scene, state.copy(), generator(**setup.tracker_axes))
         self._filter.reset(scene, state.copy())
         self._keypoints.reset(scene)
-        self._first = state
+        self._first, self._last_s = state, None
+
+    def _predict(self, before_s: float, now_s: float) -> Any:
+        if isinstance(self._filter, TimedFilter):
+            self._filter.elapse(step_s(before_s, now_s, self._scene.dt_s))
+        return self._filter.predict()
 
     def step(self, observation: Observation, trace: Trace | None = None) -> Answer:
         """One frame. ``observation.start`` is filled in here."""
         begin = time.perf_counter()
-        start = self._first if observation.index == 0 else self._filter.predict()
+        start = self._first if self._last_s is None else self._predict(self._last_s, observation.timestamp_s)
+        self._last_s = observation.timestamp_s
         filter_s = time.perf_counter() - begin
         start = check_state(start, self._size, f"filter '{self._setup.filter.name}'")
         if observation.joints is not None:
@@ -218,8 +233,8 @@ class Loop:
 class Service:
     """Answers the parent's messages.
 
-    They are ``("setup", Setup)``, ``("first", observation, truth of this frame for the initialiser, truth of all frames
-    for the filter)``, the two ``None`` unless the plug-in needs them, and ``("step", observation)``.
+    They are ``("setup", Setup)``, ``("first", observation, truth of this frame for the initialiser, truth of this and
+    all later frames for the filter)``, the two ``None`` unless the plug-in needs them, and ``("step", observation)``.
     """
 
     def __init__(self) -> None:

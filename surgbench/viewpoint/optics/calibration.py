@@ -178,13 +178,10 @@ def _camera(matrix: FloatArray, distortion: FloatArray, size: tuple[int, int]) -
 def displacement_px(one: Camera, other: Camera, step_px: int = 8) -> FloatArray:
     """How far apart two cameras see the same rays, ``(rows, columns)`` pixels over the first one's picture.
 
-    That is what a calibration is wrong by: its parameters make up for each other.
+    That is what a calibration is wrong by: its parameters make up for each other. NaN where one of them sees no ray.
     """
     rows, columns = np.mgrid[: one.height : step_px, : one.width : step_px].astype(np.float64)
-    pixels = np.stack([columns, rows], axis=-1).reshape(-1, 1, 2)
-    criteria = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 60, 1e-10)
-    plain = np.asarray(
-        cv2.undistortPoints(pixels, one.matrix, np.array(one.distortion or (0.0,) * 5), criteria=criteria)
-    )
-    rays = np.concatenate([plain.reshape(-1, 2), np.ones((len(pixels), 1))], axis=1)
-    return np.asarray(np.linalg.norm(other.see(rays) - pixels[:, 0], axis=1)).reshape(rows.shape)
+    pixels = np.stack([columns, rows], axis=-1)
+    straight = one.lens.undistort(pixels)
+    rays = np.concatenate([(straight - [one.cx, one.cy]) / [one.fx, one.fy], np.ones((*rows.shape, 1))], axis=-1)
+    return np.asarray(np.linalg.norm(other.see(rays) - pixels, axis=-1))

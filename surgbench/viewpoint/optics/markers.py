@@ -84,9 +84,15 @@ class TagFinder:
 
     def solve(self, index: int, corners_px: FloatArray) -> Found | None:
         """The ring's centre by one tag (its id) whose ``(4, 2)`` corners were detected, clockwise from its first."""
-        bent = np.array(self.camera.distortion) if any(self.camera.distortion) else None
+        seen, bent = corners_px, None
+        if self.camera.distortion_model == "opencv":
+            bent = np.array(self.camera.distortion) if self.camera.is_distorted else None
+        else:  # OpenCV's solver knows no other
+            seen = self.camera.lens.undistort(corners_px)
+            if not np.isfinite(seen).all():
+                return None
         solved, rotation, place = cv2.solvePnP(
-            self.tags.corners_m, corners_px, self.camera.matrix, bent, flags=cv2.SOLVEPNP_ITERATIVE
+            self.tags.corners_m, seen, self.camera.matrix, bent, flags=cv2.SOLVEPNP_ITERATIVE
         )
         turned, moved = (np.asarray(vector, dtype=np.float64).ravel() for vector in (rotation, place))
         pose = rigid_transform(rotation_from_vector(turned), moved)

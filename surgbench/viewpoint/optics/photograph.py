@@ -24,8 +24,6 @@ OVERSAMPLE = 2
 MARGIN_PX = 2
 BACKGROUND = 0.3
 NOISE = 0.006
-# For bending straight lines back, fixed-point steps.
-_CRITERIA = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 60, 1e-10)
 
 Picture = NDArray[np.uint8]
 
@@ -46,7 +44,7 @@ class Photographer:
     def __init__(self, camera: Camera, subject: Subject, background: float = BACKGROUND, noise: float = NOISE) -> None:
         self.camera, self.background, self.noise = camera, background, noise
         self._points_m = subject.points_m
-        self._map, self._pinhole = _bend(camera)
+        self._map, self._pinhole, self._blind = _bend(camera)
         self._mi = load_mitsuba()
         self._scene = self._mi.load_dict(self._describe(subject))
         self._parameters = self._mi.traverse(self._scene)
@@ -74,6 +72,7 @@ class Photographer:
             picture[top:bottom, left:right] = cv2.resize(
                 bent, (right - left, bottom - top), interpolation=cv2.INTER_AREA
             )
+        picture[self._blind] = 0.0
         if self.noise:
             picture += np.float32(self.noise) * rng.standard_normal(size, dtype=np.float32)
         grey: Picture = np.rint(255.0 * picture.clip(0.0, 1.0)).astype(np.uint8)
@@ -136,21 +135,20 @@ class Photographer:
         }
 
 
-def _bend(camera: Camera) -> tuple[NDArray[np.float32], Camera]:
+def _bend(camera: Camera) -> tuple[NDArray[np.float32], Camera, NDArray[np.bool_]]:
     """Where a pinhole camera sees what the lens sees in each of a pixel's points, and that pinhole camera.
 
     Returns:
         ``(OVERSAMPLE height, OVERSAMPLE width, 2)`` pixels of the pinhole camera; it has ``OVERSAMPLE`` times the
-        focal length and is wide enough.
+        focal length and is wide enough. ``(height, width)`` pixels in which the lens sees nothing: they stay black.
     """
     size = camera.height * OVERSAMPLE, camera.width * OVERSAMPLE
     rows, columns = np.mgrid[: size[0], : size[1]]
     seen = (np.stack([columns, rows], axis=-1) + 0.5) / OVERSAMPLE - 0.5
-    if any(camera.distortion):
-        flat = seen.reshape(-1, 1, 2)
-        matrix, bent = camera.matrix, np.array(camera.distortion)
-        straight = cv2.undistortPoints(flat, matrix, bent, P=matrix, criteria=_CRITERIA)
-        seen = np.asarray(straight, dtype=np.float64).reshape(*size, 2)
+    seen = camera.lens.undistort(seen)
+    blind = np.isnan(seen[..., 0])
+    # Anywhere: what is looked up there is not shown.
+    seen[blind] = [camera.cx, camera.cy]
     fine = (seen + 0.5) * OVERSAMPLE - 0.5
     low = np.floor(fine.min(axis=(0, 1))) - 1
     width, height = (int(value) for value in np.ceil(fine.max(axis=(0, 1))) + 2 - low)
@@ -162,7 +160,8 @@ def _bend(camera: Camera) -> tuple[NDArray[np.float32], Camera]:
         cx=(camera.cx + 0.5) * OVERSAMPLE - 0.5 - float(low[0]),
         cy=(camera.cy + 0.5) * OVERSAMPLE - 0.5 - float(low[1]),
     )
-    return (fine - low).astype(np.float32), pinhole
+    whole = np.asarray(blind.reshape(camera.height, OVERSAMPLE, camera.width, OVERSAMPLE).any(axis=(1, 3)))
+    return (fine - low).astype(np.float32), pinhole, whole
 
 
 def _rectangle(mi: Any, panel: Panel) -> dict[str, Any]:

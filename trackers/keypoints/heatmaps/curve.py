@@ -25,7 +25,7 @@ def draw_curve(log: Path, out: Path) -> bool:
         return False
     from matplotlib.figure import Figure
 
-    table = read_csv(log.read_text(), FIELDS)
+    table = read_csv(log.read_text(encoding="utf-8"), FIELDS)
     epochs = (table["epoch"] + 1).tolist()
 
     def column(key: str) -> list[float]:

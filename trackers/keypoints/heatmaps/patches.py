@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from functools import partial
 from multiprocessing import get_context
@@ -16,6 +17,7 @@ from surgbench.errors import SurgbenchError
 from surgbench.geometry import FloatArray
 from surgbench.keypoints.accuracy import REFERENCE_WIDTH, is_asked
 from surgbench.keypoints.labelled import LabelledMasks
+from surgbench.processes.ending import end_worker_with_parent
 from surgbench.processes.interruption import without_ctrl_c
 from surgbench.trackers.keypoints.heatmaps.square import OUTSIDE, find_square
 
@@ -131,12 +133,16 @@ def _in_order(work: Callable[[range], _Cuts], chunks: list[range], jobs: int) ->
     if jobs == 1:
         yield from map(work, chunks)
         return
-    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=end_worker_with_parent) as pool:
         try:
             # Workers start in here, and keep the block.
             with without_ctrl_c():
                 results = pool.map(work, chunks)
             yield from results
+        except BrokenProcessPool:
+            raise SurgbenchError(
+                "a worker process was killed (out of memory?); run the same command again, with fewer --jobs"
+            ) from None
         except BaseException:
             pool.shutdown(wait=True, cancel_futures=True)
             raise

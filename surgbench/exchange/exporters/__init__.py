@@ -1,0 +1,1 @@
+"""Exporters, one file each: datasets and estimates in other people's formats."""

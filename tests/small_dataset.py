@@ -1,0 +1,111 @@
+"""A dataset of a pair of needle drivers, small enough to be made for every test that wants one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from surgbench.camera import Camera
+from surgbench.dataset.manifest import observations_path
+from surgbench.dataset.masks import Mask, encode_mask
+from surgbench.dataset.open import open_as
+from surgbench.dataset.tables import encode_table
+from surgbench.files import sha256_file
+from surgbench.geometry import FloatArray
+from surgbench.instrument import load_instrument, save_instrument
+from surgbench.silhouette import SilhouetteEvaluator
+from surgbench.tasks.instrument.dataset import InstrumentDataset
+from surgbench.tasks.instrument.format import (
+    ARMS,
+    InstrumentManifest,
+    SequenceEntry,
+    clean_mask_path,
+    observed_path,
+    states_path,
+)
+from surgbench.tasks.instrument.tables import KEYPOINT_COLUMNS, READING_COLUMNS, STATE_COLUMNS, arm_columns
+
+CAMERA = Camera(width=88, height=62, fx=113.2, fy=113.1, cx=36.3, cy=29.4)
+DRIVER = "large_needle_driver"
+FRAMES = 4
+DT_S = 0.1
+# Shafts from the left and from the right; they move a little, and some angle of each is negative.
+FIRST = {
+    "left": np.array([0.3, 0.4, 0.8, -0.012, 0.0, 0.13, 0.3, -0.2, 0.3]),
+    "right": np.array([-0.2, -2.5, -0.9, 0.02, 0.005, 0.14, -0.1, 0.4, 0.1]),
+}
+STEP = np.array([0.01, 0.02, -0.01, 0.001, 0.0005, -0.001, 0.02, -0.03, 0.01])
+
+
+def states_of(arm: str, frames: int = FRAMES, sequence: int = 0) -> FloatArray:
+    """``(frames, 9)``."""
+    states: FloatArray = FIRST[arm] + STEP * (np.arange(frames)[:, None] + 3 * sequence)
+    return states
+
+
+def make_pair(
+    root: Path, *, truth: bool = True, frames: int = FRAMES, sequences: int = 2, name: str = "pairs"
+) -> InstrumentDataset:
+    """Pairs whose masks are the silhouettes of their states, uncorrupted, with tips and readings."""
+    driver = load_instrument(DRIVER)
+    save_instrument(driver, root / f"instruments/{DRIVER}")
+    alone, pair = SilhouetteEvaluator([driver], CAMERA), SilhouetteEvaluator([driver, driver], CAMERA)
+    entries = []
+    for number in range(sequences):
+        id_ = f"{number:03d}"
+        states = {arm: states_of(arm, frames, number) for arm in ARMS}
+        for frame in range(frames):
+            masks: dict[str, Mask] = {arm: alone.mask(states[arm][frame]) for arm in ARMS}
+            masks |= {"both": pair.mask(np.concatenate([states[arm][frame] for arm in ARMS]))}
+            for kind, mask in masks.items():
+                _put(root / observed_path(id_, kind, frame), encode_mask(mask))
+                if truth:
+                    _put(root / clean_mask_path(id_, kind, frame), encode_mask(mask))
+        columns: dict[str, FloatArray] = {"timestamp_s": DT_S * np.arange(frames, dtype=np.float64)}
+        for arm in ARMS:
+            tips = CAMERA.project(driver.tips_cam(states[arm])).reshape(-1, 4)
+            columns |= dict(zip(arm_columns(arm, KEYPOINT_COLUMNS), tips.T, strict=True))
+            columns |= dict(zip(arm_columns(arm, READING_COLUMNS), states[arm][:, 6:].T, strict=True))
+        _put(root / observations_path(id_), encode_table(columns))
+        if truth:
+            true = {c: v for arm in ARMS for c, v in zip(arm_columns(arm, STATE_COLUMNS), states[arm].T, strict=True)}
+            _put(root / states_path(id_), encode_table(true))
+        entries.append(
+            SequenceEntry(
+                id=id_,
+                frames=frames,
+                dt_s=DT_S,
+                camera="camera",
+                arms=ARMS,
+                instruments={arm: DRIVER for arm in ARMS},
+                kinds=("left", "right", "both"),
+                keypoints=True,
+                readings=True,
+                truth=truth,
+            )
+        )
+    paths = [path for path in root.rglob("*") if path.is_file()]
+    manifest = InstrumentManifest.model_validate(
+        {
+            "format": "surgbench-dataset-1",
+            "name": name,
+            "created_by": "test",
+            "origin": "generated" if truth else "imported",
+            "configuration": {},
+            "cameras": {"camera": CAMERA},
+            "instruments": {DRIVER: f"instruments/{DRIVER}/instrument.yaml"},
+            "sequences": tuple(entries),
+            "files": {
+                path.relative_to(root).as_posix(): {"bytes": path.stat().st_size, "sha256": sha256_file(path)}
+                for path in paths
+            },
+        }
+    )
+    (root / "dataset.json").write_bytes(manifest.to_bytes())
+    return open_as(InstrumentDataset, root)
+
+
+def _put(path: Path, data: bytes) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(data)
