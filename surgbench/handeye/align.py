@@ -27,6 +27,8 @@ REFINEMENTS = 2
 # normal 1.96 becomes where so much is taken from so little (Kiefer and Vogelsang 2005, Bartlett's kernel).
 CORRELATED_SHARE = 0.5
 INTERVAL_SIGMAS = 3.48
+# What the fit of stretched cables leaves of them in the lag: at most so much on eight synthetic arms (docs/handeye.md).
+STRETCH_DOUBT_FRAMES = 0.2
 
 LAG = 6  # of the parameters: turn, shift, lag, stretch
 PARAMETERS = 11
@@ -164,6 +166,8 @@ def _refine(frames: Frames, start: Alignment, lag_frames: int, scales: Scales) -
     change = np.asarray(solution.x, dtype=np.float64)
     found = at(change)
     half = INTERVAL_SIGMAS * _lag_deviation(off, change, lower, upper)
+    if frames.track.is_stretched:
+        half = float(np.hypot(half, STRETCH_DOUBT_FRAMES))
     return replace(found, interval_frames=(found.lag_frames - half, found.lag_frames + half))
 
 

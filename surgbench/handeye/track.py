@@ -91,6 +91,11 @@ class ReadingTrack:
             found[known] = rigid_transform(self._turn(wanted).as_matrix(), self._line.mix(self._places, wanted))
         return found
 
+    @property
+    def is_stretched(self) -> bool:
+        """Whether the arm is one whose cables may be stretched."""
+        return bool(self._stretch.any())
+
     def stretch_at(self, times_s: FloatArray) -> FloatArray:
         """What stretched cables do to the poses, ``(n, 6, 4)``, see :func:`.stretch_motions`; 0 where poses are NaN."""
         if self._turn is None:
