@@ -8,7 +8,6 @@ if nothing hid it. A dataset of articulated objects may say beside it which link
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +20,7 @@ from surgbench.dataset.masks import read_bytes
 from surgbench.errors import ConfigError, DatasetError
 from surgbench.geometry import FloatArray
 from surgbench.pictures import PICTURE_SUFFIXES, decode_picture
+from surgbench.recordings.json_file import read_json
 
 CAMERA_FILE, GT_FILE, JOINTS_FILE = "scene_camera.json", "scene_gt.json", "scene_joints.json"
 OBJECTS_FILE = "objects.json"
@@ -176,12 +176,7 @@ def _scenes(place: Path) -> dict[str, Path]:
 
 
 def _load(path: Path) -> dict[str, Any]:
-    try:
-        content = json.loads(path.read_text(encoding="utf-8-sig"))
-    except OSError as error:
-        raise DatasetError(f"{path}: cannot be read ({error.strerror})") from None
-    except (UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise DatasetError(f"{path}: not valid JSON ({error})") from None
+    content = read_json(path)
     if not isinstance(content, dict):
         raise DatasetError(f"{path}: must be a mapping")
     return content

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 from surgbench.errors import DatasetError
 from surgbench.geometry import FloatArray
 from surgbench.pictures import MAX_SIDE
+from surgbench.recordings.json_file import read_json
 from surgbench.recordings.names import number_files
 from surgbench.recordings.rle import decode_segmentation
 
@@ -43,12 +43,7 @@ class MaskJson:
         self.place = path
         self.lossy: str | None = None
         self.times_s: FloatArray | None = None
-        try:
-            content = json.loads(path.read_text(encoding="utf-8-sig"))
-        except OSError as error:
-            raise DatasetError(f"{path}: cannot be read ({error.strerror})") from None
-        except (UnicodeDecodeError, json.JSONDecodeError) as error:
-            raise DatasetError(f"{path}: not valid JSON ({error})") from None
+        content = read_json(path)
         try:
             frames = _frames(content)
             self.size = size or _stated_size(content, frames)

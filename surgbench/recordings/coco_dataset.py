@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 from surgbench.errors import ConfigError, DatasetError
 from surgbench.leftovers import without_leftovers
 from surgbench.recordings.endovis import label_name
+from surgbench.recordings.json_file import read_json
 from surgbench.recordings.names import number_files
 from surgbench.recordings.rle import decode_segmentation
 
@@ -125,12 +125,7 @@ def read_coco(path: Path) -> CocoDataset:
     Raises:
         DatasetError: It is something else; one line.
     """
-    try:
-        content = json.loads(path.read_text(encoding="utf-8-sig"))
-    except OSError as error:
-        raise DatasetError(f"{path}: cannot be read ({error.strerror})") from None
-    except (UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise DatasetError(f"{path}: not valid JSON ({error})") from None
+    content = read_json(path)
     try:
         categories = {one["id"]: str(one["name"]) for one in content.get("categories", [])}
         keypoints = {

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections import Counter
 from dataclasses import dataclass, field
@@ -14,6 +13,7 @@ import numpy as np
 from surgbench.errors import DatasetError
 from surgbench.geometry import FloatArray
 from surgbench.leftovers import without_leftovers
+from surgbench.recordings.json_file import read_json
 
 _EXPECTED = "a list of pictures, each with 'filename' and 'annotations' ('class', 'id', 'x', 'y')"
 
@@ -69,12 +69,7 @@ def read_points(path: Path) -> MarkedPoints:
     Raises:
         DatasetError: It is something else; one line.
     """
-    try:
-        content = json.loads(path.read_text(encoding="utf-8-sig"))
-    except OSError as error:
-        raise DatasetError(f"{path}: cannot be read ({error.strerror})") from None
-    except (UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise DatasetError(f"{path}: not valid JSON ({error})") from None
+    content = read_json(path)
     try:
         names = [str(one["filename"]) for one in content]
         pictures = [[_point(path, one["filename"], point) for point in one["annotations"]] for one in content]

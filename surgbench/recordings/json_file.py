@@ -1,0 +1,23 @@
+"""JSON as other programs write it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from surgbench.errors import DatasetError
+
+
+def read_json(path: Path) -> Any:
+    """What a JSON file holds; a byte order mark is passed over.
+
+    Raises:
+        DatasetError: It cannot be read, or is not JSON; one line.
+    """
+    try:
+        return json.loads(path.read_text(encoding="utf-8-sig"))
+    except OSError as error:
+        raise DatasetError(f"{path}: cannot be read ({error.strerror})") from None
+    except (UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise DatasetError(f"{path}: not valid JSON ({error})") from None
