@@ -126,8 +126,8 @@ class MotionBelief:
 
     def predict(self, step_s: float | None = None) -> None:
         """Advance to the next frame, which is ``step_s`` seconds away, or as far as frames are unless told."""
-        regular = step_s is None or step_s == self._dt_s
-        transition, process = self._regular if regular else self._motion(step_s or self._dt_s)
+        step_s = self._dt_s if step_s is None else step_s
+        transition, process = self._regular if step_s == self._dt_s else self._motion(step_s)
         self._mean = transition @ self._mean
         self._covariance = transition @ self._covariance @ transition.T + process
 
