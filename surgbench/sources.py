@@ -16,6 +16,7 @@ from pathlib import Path
 from surgbench.files import HASH_DIGITS, sha256_file
 from surgbench.leftovers import without_leftovers
 from surgbench.plugin_files import PREFIX, lies_beside
+from surgbench.syntax import parse_file
 
 ENGINE = "surgbench"
 # Plug-ins lie in packages of the engine's, and are no part of it. What they consist of is their own.
@@ -208,7 +209,7 @@ def _read(path: Path, *_stamp: int) -> tuple[str, tuple[tuple[int, str, tuple[st
     """Hash of a file, and its imports: level, name and members."""
     imports: list[tuple[int, str, tuple[str, ...]]] = []
     try:
-        tree = ast.parse(path.read_bytes())
+        tree = parse_file(path)
     except (SyntaxError, ValueError):  # then it cannot be imported, either
         return sha256_file(path), ()
     for node in ast.walk(tree):

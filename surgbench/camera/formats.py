@@ -21,6 +21,7 @@ from surgbench.camera.lens import DistortionModel
 from surgbench.config import parse_value
 from surgbench.errors import ConfigError, DatasetError, unknown_name
 from surgbench.geometry import FloatArray
+from surgbench.syntax import PARSING
 
 KEYS = "width, height, fx, fy, cx, cy"
 _INTRINSICS = ("fx", "fy", "cx", "cy")
@@ -114,7 +115,8 @@ def _content(path: Path) -> tuple[Any, str]:
     data = path.read_bytes()
     if data.startswith((b"\x93NUMPY", b"PK")):
         try:
-            loaded = np.load(io.BytesIO(data), allow_pickle=False)
+            with PARSING:  # as NumPy does a file's header
+                loaded = np.load(io.BytesIO(data), allow_pickle=False)
             return (dict(loaded.items()) if isinstance(loaded, Mapping) else loaded), "arrays of NumPy"
         except Exception as error:  # whatever a damaged archive makes of it
             raise ValueError(f"not valid NumPy ({error})") from None

@@ -17,6 +17,7 @@ from surgbench.geometry import FloatArray
 from surgbench.instrument.model import LinkMesh
 from surgbench.instrument.shapes import round_vertices
 from surgbench.instrument.spec import MeshFile
+from surgbench.syntax import PARSING
 
 Faces = NDArray[np.int32]
 
@@ -162,7 +163,8 @@ def _read(path: Path, link: str) -> tuple[FloatArray, Faces]:
         if suffix == ".obj":
             options.update(skip_materials=True, maintain_order=True, file_type="obj")
             source = io.StringIO(_bare_obj(path.read_text(encoding="utf-8", errors="replace")))
-        mesh = trimesh.load_mesh(source, **options)
+        with PARSING:  # in a PLY file's header, NumPy does
+            mesh = trimesh.load_mesh(source, **options)
         if not isinstance(mesh, trimesh.Trimesh):
             mesh = mesh.to_mesh()
         vertices = np.asarray(mesh.vertices, dtype=np.float64)

@@ -17,6 +17,7 @@ from surgbench.handeye import HandEye, TooLittleMotionError, estimate_hand_eye
 from surgbench.registry import find
 from surgbench.sources import own_modules
 from surgbench.state import ANGLES, POSITION
+from surgbench.syntax import parse_file
 from surgbench.tasks.instrument.dataset import Sequence
 from surgbench.tasks.instrument.format import Arm
 from surgbench.tasks.instrument.records import JUDGED
@@ -122,5 +123,5 @@ def _names_kinematics(modules: Iterable[str]) -> bool:
 @lru_cache(maxsize=1024)
 def _reads(path: Path, _stamp: int) -> bool:
     """Whether a file has an attribute of that name."""
-    tree = ast.parse(path.read_bytes())
+    tree = parse_file(path)
     return any(isinstance(node, ast.Attribute) and node.attr == KINEMATICS for node in ast.walk(tree))
