@@ -62,8 +62,8 @@ def reproduce(
     sheet = find_task(definition.table.task).sheet
     results.about["figure"] = bool(with_figure and sheet.draw(definition, blocks, folder))
     texts = {
-        LEADERBOARD_CSV: csv_text(to_frame(results.rows, sheet.leaderboard)),
-        SEQUENCES_CSV: csv_text(to_frame(results.sequences, sheet.sequences)),
+        LEADERBOARD_CSV: csv_text(to_frame(results.rows, sheet.leaderboard(results.rows))),
+        SEQUENCES_CSV: csv_text(to_frame(results.sequences, sheet.sequences(results.sequences))),
         RECORDS_JSON: json_text(results.about),
         LEADERBOARD_MD: sheet.page(definition, results),
     }

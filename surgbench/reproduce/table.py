@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
-from pydantic import Field, create_model, model_validator
+from pydantic import Discriminator, Field, Tag, create_model, model_validator
 
 from surgbench.config import Count, Section
 from surgbench.kinds import NAME_PATTERN
@@ -37,6 +37,35 @@ class DatasetRequest(Section):
         """Name of its folder: the preset's, and whatever is put over it."""
         over = self.model_dump(exclude={"preset"}, exclude_none=True)
         return "-".join([Path(self.preset).stem, *(f"{key}-{value}" for key, value in over.items())])
+
+
+class ImportRequest(Section):
+    """A dataset made of recordings that whoever reproduces the table has on a disk.
+
+    Attributes:
+        importer: What reads them; where they lie is told on the command line.
+        name: Of its folder.
+        options: The importer's.
+    """
+
+    importer: str
+    name: Annotated[str, Field(pattern=f"^{NAME_PATTERN}$")]
+    options: dict[str, Any] = Field(default={})
+
+    @property
+    def folder(self) -> str:
+        """Name of its folder."""
+        return self.name
+
+
+def _origin(content: Any) -> str:
+    keys = content if isinstance(content, dict) else type(content).model_fields
+    return "imported" if "importer" in keys else "generated"
+
+
+AnyDataset = Annotated[
+    Annotated[DatasetRequest, Tag("generated")] | Annotated[ImportRequest, Tag("imported")], Discriminator(_origin)
+]
 
 
 class Timing(Section):
@@ -91,7 +120,7 @@ class Block(Section):
         name: A word.
         heading: As it stands over the block.
         note: The protocol in words.
-        dataset: What to generate.
+        dataset: What to generate or import.
         quick_sequences: Ids of the dataset's sequences that a quick run makes.
         conditions: What all rows share.
         defaults: What its rows ask for where they do not say.
@@ -102,7 +131,7 @@ class Block(Section):
     name: Annotated[str, Field(pattern=f"^{NAME_PATTERN}$")]
     heading: str
     note: str = ""
-    dataset: DatasetRequest
+    dataset: AnyDataset
     quick_sequences: Annotated[tuple[str, ...], Field(min_length=1)]
     conditions: Conditions = Conditions()
     defaults: dict[str, Any] = Field(default={})
