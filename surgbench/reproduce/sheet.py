@@ -37,7 +37,8 @@ class Sheet:
         describe: A dataset, and how many frames of each sequence are meant by first, to what is kept of it: at least
             ``sequences`` and ``frames``, how many there are, and ``first_sha256``, sequence to a hash of these frames.
         page: The Markdown page.
-        draw: The figures that go into the table's folder; their names, none where nothing can be drawn.
+        draw: The figures that go into the table's folder (a definition with some, its work, its results, the folder);
+            their names, none where nothing can be drawn.
         estimates: Column of a record's frames that a rerun is held against.
         measures: What is shown beside published figures in the terminal.
     """
@@ -52,7 +53,7 @@ class Sheet:
     count: Callable[[Any], Row]
     describe: Callable[[Any, int], dict[str, Any]]
     page: Callable[[Definition, Results], str]
-    draw: Callable[[Definition, Sequence[BlockWork], Path], list[str]]
+    draw: Callable[[Definition, Sequence[BlockWork], Results, Path], list[str]]
     estimates: str
     measures: tuple[Column, ...] = ()
     further_columns: tuple[Field, ...] = ()

@@ -125,6 +125,7 @@ class Block(Section):
         conditions: What all rows share.
         defaults: What its rows ask for where they do not say.
         published_on: Which of the published rows' datasets the block stands for.
+        levels: What makes its dataset hard, and at which level: where the block stands on curves over levels.
         rows: In the order they are shown.
     """
 
@@ -136,6 +137,7 @@ class Block(Section):
     conditions: Conditions = Conditions()
     defaults: dict[str, Any] = Field(default={})
     published_on: str | None = None
+    levels: dict[str, Annotated[float, Field(ge=0)]] = Field(default={})
     rows: Annotated[tuple[TableRow, ...], Field(min_length=1)]
 
 
@@ -177,6 +179,20 @@ class Picture(Section):
     rows: Annotated[tuple[str, ...], Field(min_length=1, max_length=5)]
 
 
+class Worst(Section):
+    """The sheet of worst moments.
+
+    Attributes:
+        block: Its block.
+        rows: Row ids, a line each.
+        moments: Of each row.
+    """
+
+    block: str
+    rows: Annotated[tuple[str, ...], Field(min_length=1, max_length=6)]
+    moments: Annotated[int, Field(ge=1, le=8)] = 4
+
+
 class Table(Section):
     """A table file.
 
@@ -188,7 +204,8 @@ class Table(Section):
         quick: Fixed small share.
         timing: Where latencies come from.
         check: How much ``--check`` repeats.
-        figure: What is drawn, if anything.
+        figure: Estimates over time, if they are drawn.
+        worst: Worst moments, if they are drawn.
         blocks: The parts, in order.
     """
 
@@ -200,6 +217,7 @@ class Table(Section):
     timing: Timing
     check: Check
     figure: Picture | None = None
+    worst: Worst | None = None
     blocks: Annotated[tuple[Block, ...], Field(min_length=1)]
 
     @model_validator(mode="after")
@@ -218,11 +236,16 @@ class Table(Section):
         names = [block.name for block in self.blocks]
         if len(set(names)) < len(names):
             raise ValueError("two blocks have the same name")
-        if self.figure is not None:
-            for id_ in self.figure.rows:
-                if id_ not in [row.id for block, row in self.rows() if block.name == self.figure.block]:
-                    raise ValueError(f"figure: block '{self.figure.block}' has no row '{id_}'")
+        for key, wanted in (("figure", self.figure), ("worst", self.worst)):
+            for id_ in () if wanted is None else wanted.rows:
+                if wanted and id_ not in [row.id for block, row in self.rows() if block.name == wanted.block]:
+                    raise ValueError(f"{key}: block '{wanted.block}' has no row '{id_}'")
         return self
+
+    @property
+    def has_pictures(self) -> bool:
+        """Whether anything is drawn for it."""
+        return self.figure is not None or self.worst is not None or any(block.levels for block in self.blocks)
 
     def rows(self) -> Iterator[tuple[Block, TableRow]]:
         """Every row with its block, in order."""

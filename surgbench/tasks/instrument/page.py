@@ -27,6 +27,8 @@ from surgbench.tasks.instrument.columns import (
     SURE,
     TIPS,
 )
+from surgbench.tasks.instrument.levels import LEVELS_PNG
+from surgbench.tasks.instrument.worst import WORST_PNG
 
 READING = (
     "Errors are means over sequences (each arm is one) ± their standard error, after the paper's rule for the 180° "
@@ -53,6 +55,7 @@ def markdown(definition: Definition, results: Results) -> str:
     parts += [READING, _times(results.about, published)]
     if results.about["figure"]:
         parts.append(f"![Ground truth and estimates over time]({FIGURE_PNG})")
+    parts += [f"![{PICTURES[name]}]({name})" for name in results.about.get("pictures", ())]
     for block in table.blocks:
         rows = [row for row in results.rows if row["block"] == block.name]
         about_data = _dataset(block, results.about["datasets"][block.dataset.folder])
@@ -76,6 +79,11 @@ def markdown(definition: Definition, results: Results) -> str:
 FLOOR_NOTE = (
     "How many times the error of the floor row, which searches every frame from its true state: what the masks allow."
 )
+
+PICTURES = {
+    LEVELS_PNG: "Errors over the level of what makes it hard",
+    WORST_PNG: "The worst moments: where the tips were farthest from the truth",
+}
 
 SURE_PART = (
     "How sure they are",
