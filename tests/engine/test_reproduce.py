@@ -502,3 +502,31 @@ def test_worst_moments_lie_apart() -> None:
     errors[100, 1], errors[110, 0], errors[250, 0] = 0.03, 0.02, 0.01
     record: Any = SimpleNamespace(errors={"tip_error_m": errors}, frames=SimpleNamespace(index=list(range(300))))
     assert [(one.frame, one.tip_error_m) for one in worst_moments([record], 2)] == [(100, 0.03), (250, 0.01)]
+
+
+# --- some rows again
+
+
+@pytest.mark.slow
+def test_a_row_run_again_takes_its_place_and_the_others_stay(
+    copy: Path, made: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (copy / "data").symlink_to(made / "data")
+    folder = copy / "results" / "tiny"
+    for name in ("records", "timing"):
+        shutil.rmtree(folder / name)  # as where a table was cloned
+    before = read_results(folder)
+    run(copy, "--row", "noisy-joint", expect=2)
+    assert "did you mean 'noisy-joints'?" in capsys.readouterr().err
+    table = json.loads(json.dumps(TABLE))
+    table["blocks"][0]["rows"][1]["readings"] = "none"  # the row is another one now
+    (copy / "tiny.yaml").write_text(yaml.safe_dump(table), encoding="utf-8")
+    run(copy, "--row", "noisy-joints")
+    assert f"1 runs, {FRAMES} frames" in capsys.readouterr().err
+    after = read_results(folder)
+    assert after.rows[0] == before.rows[0]
+    assert after.sequences[:2] == before.sequences[:2]
+    assert (after.rows[1]["row_id"], after.rows[1]["readings"]) == ("noisy-joints", "none")
+    assert list(after.about["records"]) == list(before.about["records"])
+    run(copy, "--check")
+    assert "confirmed" in capsys.readouterr().out
