@@ -14,6 +14,7 @@ from surgbench.camera.options import CameraOptions
 from surgbench.contract import Mask, Plugin
 from surgbench.dataset.storage import check_new
 from surgbench.errors import ConfigError
+from surgbench.exchange.jaws import check_jaws
 from surgbench.exchange.mask_options import MaskOptions
 from surgbench.geometry import FloatArray
 from surgbench.instrument import load_instrument
@@ -86,6 +87,7 @@ def import_masks(
     )
     coding = read_coding(recording.masks, told)
     robot_arm = load_arm((beside or BesideOptions()).robot_arm) if recording.arm_joints is not None else None
+    jaws_said = check_jaws(recording, coding, model, arms)
     reading = _Reading(recording, coding, arms)
     count = len(recording.numbers)
     summary = f"{count} masks, {coding.said}"
@@ -108,7 +110,7 @@ def import_masks(
         progress=progress,
         tell=False,
     )
-    for line in (f"{summary}, {reading.shares.said}", *recording.notes):
+    for line in (f"{summary}, {reading.shares.said}", *recording.notes, *jaws_said):
         say(line)
     for line in (*coding.warnings, *reading.shares.warnings(one_arm=len(arms) == 1)):
         say(f"warning: {line}")

@@ -15,7 +15,7 @@ from surgbench.config import Section
 from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument
 from surgbench.instrument.arms import DEFAULT_ARM
-from surgbench.recordings.readings import AngleUnit, Jaw, Readings, read_joints
+from surgbench.recordings.readings import AngleUnit, Jaw, Readings, UntoldJaw, read_joints
 from surgbench.recordings.tips import Tips, TipsUnit, read_tips
 
 JOINTS_FILE, TIPS_FILE = "joints.csv", "tips.csv"
@@ -44,7 +44,7 @@ class BesideOptions(RobotArmOption):
         Jaw | None,
         Field(
             description="The jaw in joints.csv: half, each jaw's angle from the midline, or full, the angle between "
-            "both, as the dVRK has it; default: half for a column q3, full for a column jaw."
+            "both, as the dVRK has it; default: as the masks say, with half for a column q3 and full for a column jaw."
         ),
     ] = None
     joints_arm: Annotated[
@@ -70,12 +70,14 @@ class Beside:
         arm_joints: ``(frames, 6)`` the arm's joints, rad and (insertion) m.
         tips: ``(frames, 2, 2)`` pixels of the recording's pictures, NaN where a tip was not marked.
         notes: A line for each file, and arm where there are two, that says how it was read.
+        jaws: By arm, what is left to be doubted of its jaw.
     """
 
     joints: dict[str, FloatArray] | None
     arm_joints: dict[str, FloatArray] | None
     tips: dict[str, FloatArray] | None
     notes: tuple[str, ...]
+    jaws: dict[str, UntoldJaw]
 
 
 def read_beside(
@@ -128,6 +130,7 @@ def read_beside(
         if any(one is not None for one in points.values())
         else None,
         (*(one.note for one in readings.values()), *(one.note for one in tips.values())),
+        {arm: one.jaw for arm, one in readings.items() if one.jaw is not None},
     )
 
 

@@ -26,6 +26,7 @@ from surgbench.recordings.joint_columns import (
     WRIST_PITCH,
     WRIST_YAW,
     find_joints,
+    says_half,
 )
 from surgbench.state import JOINTS
 
@@ -36,8 +37,29 @@ Jaw = Literal["half", "full"]
 SLACK_RAD, CLOSED_SLACK_RAD = 0.2, 0.5
 # Half the jaws' opening beyond what the instrument's open to by so much is more than a wrong calibration.
 OPEN_SLACK_RAD = 0.05
+# Jaws of which either reading is nearer to the other than this are closed, whatever is meant.
+CLOSED_RAD = 0.05
 # An arm's insertion is 0 to 0.24 m, or 0.29 m.
 LONGEST_INSERTION_M = 1.0
+
+
+@dataclass(frozen=True)
+class UntoldJaw:
+    """A jaw whose column's name alone says whether it is half the opening or all of it; both are possible.
+
+    Attributes:
+        path: The file.
+        column: The jaw's, as the file has it.
+        taken: What it is taken for.
+        joints: ``(frames, 3)`` as it is taken.
+        otherwise: ``(frames, 3)`` if it is the other.
+    """
+
+    path: Path
+    column: str
+    taken: Jaw
+    joints: FloatArray
+    otherwise: FloatArray
 
 
 @dataclass(frozen=True)
@@ -48,11 +70,13 @@ class Readings:
         joints: ``(frames, 3)`` q1, q2, q3, rad, q3 from the midline; ``None`` where the file has no jaw.
         arm: ``(frames, 6)`` the arm's joints, rad and (insertion) m, where they were asked for.
         note: One line that says how the file was read.
+        jaw: What is left to be doubted, by who has masks; ``None`` where nothing is.
     """
 
     joints: FloatArray | None
     arm: FloatArray | None
     note: str
+    jaw: UntoldJaw | None = None
 
 
 def read_joints(
@@ -110,7 +134,8 @@ def read_joints(
     six = np.stack([read[name] for name in ARM_JOINTS], axis=1) if arm else None
     has_jaw = "jaw" not in instrument.observable or JAW in found or HALF_JAW in found
     title = f"{path.name}, {whose} arm" if whose else path.name
-    return Readings(joints if has_jaw else None, six, _note(title, joints, found, told, arm))
+    untold = _untold_jaw(joints, found, told, instrument, path)
+    return Readings(joints if has_jaw else None, six, _note(title, joints, found, told, arm), untold)
 
 
 @dataclass(frozen=True)
@@ -218,6 +243,19 @@ def _far(joints: FloatArray, instrument: Instrument) -> np.ndarray:
 def _opens_too_far(joints: FloatArray, instrument: Instrument) -> bool:
     opens_to = instrument.generate_limits.upper_rad[2] + OPEN_SLACK_RAD
     return "jaw" in instrument.observable and bool(joints[:, 2].max(initial=0.0) > opens_to)
+
+
+def _untold_jaw(
+    joints: FloatArray, found: Mapping[str, Column], told: _Told, instrument: Instrument, path: Path
+) -> UntoldJaw | None:
+    column = found.get(JAW, found.get(HALF_JAW))
+    if told.jaw is not None or column is None or says_half(column) or "jaw" not in instrument.observable:
+        return None
+    otherwise = joints * [1, 1, 2 if told.jaw_as == "full" else 0.5]
+    apart = np.abs(joints - otherwise)[:, 2].max(initial=0.0)
+    if apart < CLOSED_RAD or _opens_too_far(otherwise, instrument):
+        return None
+    return UntoldJaw(path, column.title, told.jaw_as, joints, otherwise)
 
 
 def _note(title: str, joints: FloatArray, found: Mapping[str, Column], told: _Told, arm: bool) -> str:

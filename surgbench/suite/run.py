@@ -102,8 +102,11 @@ def probe_output(out: Path) -> None:
         SurgbenchError: It cannot.
     """
     probe = out / f"probe.{os.getpid()}{PARTIAL_SUFFIX}"
-    _write(probe, bytes(1 << 16))
-    probe.unlink()
+    try:
+        write_atomic(probe, bytes(1 << 16))
+        probe.unlink()
+    except OSError as error:
+        raise cannot_write(out, error) from None
 
 
 def make_plan(jobs: list[Job], out: Path, retry_failed: bool = True, again: bool = False) -> Plan:

@@ -47,7 +47,9 @@ def full(source: Path) -> Path:
         picture = np.zeros((30, 40, 3), np.uint8)
         picture[..., 2] = 10 * frame + 5  # red, in OpenCV's order
         write_png(source / "images" / f"{frame:06d}.png", picture)
-    (source / "joints.csv").write_text("frame,q1,q2,q3\n0,0.1,0.2,0.3\n1,0.1,0.2,-0.05\n2,0.3,0.2,0.3\n")
+    (source / "joints.csv").write_text(
+        "frame,wrist_pitch,wrist_yaw,half_jaw\n0,0.1,0.2,0.3\n1,0.1,0.2,-0.05\n2,0.3,0.2,0.3\n"
+    )
     (source / "tips.csv").write_text("frame,u1,v1,u2,v2\n0,20,12,21,14\n2,22,12,,\n")
     return source
 

@@ -59,7 +59,7 @@ def test_instances_become_masks_of_two_arms(source: Path, capsys: pytest.Capture
     (source / "joints.csv").write_text(two)
     surgbench("import", "masks", source, "--out", source.with_name("data"), expect=2)
     assert "joints.csv: has columns of two arms; say --instances" in capsys.readouterr().err
-    sequence = imported(source, "--instances", "1=left,2=right")
+    sequence = imported(source, "--instances", "1=left,2=right", "--jaw", "half")
     assert "3 masks, values {0, 1, 2}, 1=left,2=right, " in capsys.readouterr().err
     assert sequence.arms == ("left", "right")
     assert np.array_equal(sequence.mask("left", 1), tool(1) > 0)
@@ -126,7 +126,9 @@ def test_masks_of_every_third_frame_keep_their_time(source: Path, capsys: pytest
         put(source / f"images/seq02_{frame:03d}.png", np.full((HEIGHT, WIDTH, 3), 10 * frame, np.uint8))
     for frame in (0, 3, 6):
         put(source / f"masks/seq02_{frame:03d}_mask.png", 255 * tool(frame))
-    (source / "joints.csv").write_text("frame,q1,q2,q3\n" + "".join(f"{k},0,0,0.{k}\n" for k in range(7)))
+    (source / "joints.csv").write_text(
+        "frame,wrist_pitch,wrist_yaw,half_jaw\n" + "".join(f"{k},0,0,0.{k}\n" for k in range(7))
+    )
     sequence = imported(source)
     said = capsys.readouterr().err
     assert "frames 0 to 6, one in 3, 0.1 s apart" in said
