@@ -13,13 +13,12 @@ from numpy.typing import NDArray
 
 from surgbench.errors import ConfigError, DatasetError
 from surgbench.leftovers import without_leftovers
+from surgbench.recordings.coco_video import by_images
 from surgbench.recordings.endovis import label_name
 from surgbench.recordings.json_file import read_json
 from surgbench.recordings.names import number_files
 from surgbench.recordings.rle import decode_segmentation
 
-# What others call the number of an object that stays the same from image to image.
-TRACK_KEYS = ("track_id", "instance_id", "object_id")
 _FRAME_KEYS = ("frame", "frame_id", "frame_index")
 
 
@@ -120,13 +119,13 @@ def read_coco(path: Path) -> CocoDataset:
     """Read a COCO dataset.
 
     Images of one ``sequence`` or ``video_id``, or else of one folder, follow one another by ``frame``, ``frame_id`` or
-    the number in their names.
+    the number in their names. Datasets of YouTube-VIS are read too (:mod:`surgbench.recordings.coco_video`).
 
     Raises:
         DatasetError: It is something else; one line.
     """
-    content = read_json(path)
     try:
+        content = by_images(read_json(path))
         categories = {one["id"]: str(one["name"]) for one in content.get("categories", [])}
         keypoints = {
             one["id"]: list(map(label_name, one.get("keypoints", []))) for one in content.get("categories", [])
@@ -141,12 +140,14 @@ def read_coco(path: Path) -> CocoDataset:
         raise DatasetError(f"{path}: a COCO dataset must have {error} (images, annotations, categories)") from None
     except (TypeError, AttributeError):
         raise DatasetError(f"{path}: must be a COCO dataset (a mapping with images, annotations, categories)") from None
+    except ValueError as error:
+        raise DatasetError(f"{path}: {error}") from None
     if not sequences:
         raise DatasetError(f"{path}: holds no images")
     return CocoDataset(path, sequences, categories, keypoints)
 
 
-def by_name_or_id(text: str, option: str, categories: Mapping[int, str], arms: tuple[str, ...]) -> dict[int, str]:
+def by_name_or_id(text: str, option: str, categories: Mapping[Any, str], arms: tuple[str, ...]) -> dict[Any, str]:
     """Categories to arms, as in ``scissors=left,2=right``; several may be of one arm.
 
     Raises:
