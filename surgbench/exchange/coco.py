@@ -24,7 +24,7 @@ from surgbench.recordings.coco_dataset import (
 )
 from surgbench.recordings.endovis import label_name
 from surgbench.recordings.files import read_picture
-from surgbench.recordings.names import time_of_frames
+from surgbench.recordings.names import Timing, time_of_frames
 from surgbench.tasks.instrument.footage import Footage, Shot
 from surgbench.tasks.instrument.format import Arm
 from surgbench.tasks.instrument.imported import write_import
@@ -100,7 +100,11 @@ class CocoImporter(Plugin):
             raise DatasetError(f"{dataset.path}: sequence '{name}': images are of {len(sizes)} different sizes")
         camera = config.read(folder, images[0].size, lines.append)
         pictures = None if config.without_images else self._pictures(folder, images)
-        timing = time_of_frames([image.number for image in images], dataset.path, "auto", config.fps)
+        told = [image.time_s for image in images if image.time_s is not None]
+        if config.fps is None and 1 < len(told) == len(images) and (np.diff(told) > 0).all():
+            timing = Timing(np.array(told) - told[0], float(np.median(np.diff(told))), None)
+        else:
+            timing = time_of_frames([image.number for image in images], dataset.path, "auto", config.fps)
         if timing.said is not None:
             lines.append(f"{name}: {timing.said}")
         labels = kind_of.points(images, hidden=True)

@@ -19,6 +19,7 @@ from surgbench.recordings.json_file import read_json
 from surgbench.recordings.names import number_files
 from surgbench.recordings.rle import decode_segmentation
 
+TIME_KEY = "timestamp_s"
 _FRAME_KEYS = ("frame", "frame_id", "frame_index")
 
 
@@ -30,12 +31,14 @@ class CocoImage:
         name: As ``file_name`` has it.
         number: Of the frame in its sequence.
         size: Width and height.
+        time_s: When it was taken, where it says so.
         objects: Annotations.
     """
 
     name: str
     number: int
     size: tuple[int, int]
+    time_s: float | None = None
     objects: list[dict[str, Any]] = field(default_factory=list)
 
 
@@ -186,6 +189,12 @@ def _sequence_id(key: str, grouped: Mapping[str, Any]) -> str:
     return "000"
 
 
+def _time(image: Mapping[str, Any]) -> float | None:
+    """In seconds, as surgbench's own export says it."""
+    time_s = image.get(TIME_KEY)
+    return float(time_s) if isinstance(time_s, int | float) and np.isfinite(time_s) else None
+
+
 def _in_order(path: Path, images: list[dict[str, Any]], objects: dict[Any, list[dict[str, Any]]]) -> list[CocoImage]:
     key = next((key for key in _FRAME_KEYS if all(isinstance(one.get(key), int) for one in images)), None)
     if key is None:
@@ -196,6 +205,8 @@ def _in_order(path: Path, images: list[dict[str, Any]], objects: dict[Any, list[
     if len(numbered) < len(images):
         raise DatasetError(f"{path}: two images are the same frame of '{images[0]['file_name']}' and those beside it")
     return [
-        CocoImage(str(one["file_name"]), number, (int(one["width"]), int(one["height"])), objects[one["id"]])
+        CocoImage(
+            str(one["file_name"]), number, (int(one["width"]), int(one["height"])), _time(one), objects[one["id"]]
+        )
         for number, one in numbered.items()
     ]

@@ -105,7 +105,8 @@ def _write_dataset(dataset: InstrumentDataset, folder: Path, progress: Callable[
             if picture is not None:
                 (folder / name).write_bytes(picture)
             size = {"width": sequence.camera.width, "height": sequence.camera.height}
-            images.append({"id": image_id, "file_name": name, **size, "sequence": sequence.id, "frame": frame})
+            when = {"frame": frame, "timestamp_s": float(sequence.timestamps_s[frame])}
+            images.append({"id": image_id, "file_name": name, **size, "sequence": sequence.id, **when})
             for kind, arm in shown:
                 seen = points[arm][frame] if kind == arm else np.zeros((len(names), 3))
                 shape = _shape_in(sequence, kind, frame, seen)
