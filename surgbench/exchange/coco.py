@@ -19,11 +19,11 @@ from surgbench.pictures import as_rgb
 from surgbench.recordings.coco_dataset import (
     CocoDataset,
     CocoImage,
-    find_coco,
     read_coco,
 )
 from surgbench.recordings.endovis import label_name
 from surgbench.recordings.files import read_picture
+from surgbench.recordings.json_file import find_json
 from surgbench.recordings.names import Timing, time_of_frames
 from surgbench.tasks.instrument.footage import Footage, Shot
 from surgbench.tasks.instrument.format import Arm
@@ -59,13 +59,13 @@ class CocoImporter(Plugin):
     def frames(self, source: Path) -> int:
         """How many images there are."""
         check_fps(self.config.fps)
-        return sum(map(len, read_coco(find_coco(source)).sequences.values()))
+        return sum(map(len, self._read(source).sequences.values()))
 
     def run(self, source: Path, out: Path, progress: Callable[[float], None]) -> list[str]:
         """Make the dataset; returns what was made of it, line by line."""
         config, lines = self.config, list[str]()
         check_fps(config.fps)
-        dataset = read_coco(find_coco(source))
+        dataset = self._read(source)
         kind_of = ObjectArms(dataset, config)
         tips = self._tips(dataset)
         if dataset.labels and tips is None:
@@ -84,6 +84,10 @@ class CocoImporter(Plugin):
             progress=progress,
         )
         return [*lines, *said]
+
+    @staticmethod
+    def _read(source: Path) -> CocoDataset:
+        return read_coco(find_json(source, "coco", "annotations.json", folders=(".", "annotations")))
 
     def _footage(
         self,

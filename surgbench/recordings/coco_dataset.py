@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surgbench.errors import ConfigError, DatasetError
-from surgbench.leftovers import without_leftovers
 from surgbench.recordings.coco_video import by_images
 from surgbench.recordings.endovis import label_name
 from surgbench.recordings.json_file import read_json
@@ -97,25 +96,6 @@ class CocoDataset:
         return {
             name: (u, v) for name, (u, v, flag) in zip(names, rows.tolist(), strict=True) if flag > (0 if hidden else 1)
         }
-
-
-def find_coco(source: Path) -> Path:
-    """The file of a COCO dataset: the source itself, or the only one in it or in its ``annotations``.
-
-    Raises:
-        DatasetError: There is none, or several; one line.
-    """
-    if not source.exists():
-        raise DatasetError(f"{source}: no such file or folder; expected a COCO dataset (annotations.json)")
-    if not source.is_dir():
-        return source
-    places = [place for place in (source, source / "annotations") if place.is_dir()]
-    found = [
-        path for place in places for path in sorted(without_leftovers(place.glob("*.json"))) if path.stem != "camera"
-    ]
-    if len(found) != 1:
-        raise DatasetError(f"{source}: holds {len(found)} JSON files; say which one: import coco FILE")
-    return found[0]
 
 
 def read_coco(path: Path) -> CocoDataset:
