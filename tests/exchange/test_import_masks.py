@@ -85,11 +85,11 @@ def test_tables_of_two_arms_say_whose_each_column_or_row_is(
 ) -> None:
     right = LAYOUTS[header]
     left = {"PSM1": "PSM3", "right": "left", "Right": "LEFT"}[right]
-    lines = []
+    lines: list[list[object]] = []
     for frame in range(3):
         put(source / f"masks/{frame:06d}.png", tool(frame) + 2 * tool(frame, 30))
         by_row = header.split(",")[1] in ("arm", "side")
-        rows = [[frame, right, 0.4, 0.5, 0.6], [frame, left, 0.1, 0.2, 0.3]]
+        rows: list[list[object]] = [[frame, right, 0.4, 0.5, 0.6], [frame, left, 0.1, 0.2, 0.3]]
         lines += rows if by_row else [[frame, 0.4, 0.5, 0.6, 0.1, 0.2, 0.3]]
     (source / "joints.csv").write_text("\n".join([header, *(",".join(map(str, row)) for row in lines)]))
     instances = ("--instances", "1=left,2=right")

@@ -260,7 +260,9 @@ def test_stamps_may_stand_for_frames(dataset: InstrumentDataset, truth: Path, tm
     rows["timestamp_s"] += 0.004
     rows.sample(frac=1.0, random_state=1).to_csv(tmp_path / "e.csv", index=False)
     for (sequence, arm), estimates in read_estimates(tmp_path / "e.csv", dataset).arms.items():
-        assert np.array_equal(estimates.states, dataset.sequence(sequence).states(arm))
+        true = dataset.sequence(sequence).states(arm)
+        assert true is not None
+        assert np.array_equal(estimates.states, true)
 
 
 def test_tables_of_other_programs_are_read_too(dataset: InstrumentDataset, truth: Path, tmp_path: Path) -> None:
