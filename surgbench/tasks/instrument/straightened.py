@@ -28,7 +28,8 @@ class Straightened:
     def __init__(self, camera: Camera, *, halved: bool, who: str) -> None:
         self._camera, self._halved, self._who = camera, halved, who
         self._target = written(camera, halved=halved)
-        self._lenses = {(one.width, one.height): Undistortion(one) for one in (camera, *([half(camera)] * halved))}
+        sizes = (camera, half(camera)) if halved else (camera,)
+        self._lenses = {(one.width, one.height): Undistortion(one) for one in sizes}
 
     def picture(self, picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """A picture of the camera's size or the one that is written; a mask's pixel is its nearest, of four the most.
