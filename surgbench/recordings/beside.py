@@ -15,6 +15,7 @@ from surgbench.config import Section
 from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument
 from surgbench.instrument.arms import DEFAULT_ARM
+from surgbench.recordings.arm_columns import Whose, parse_arm_names
 from surgbench.recordings.readings import AngleUnit, Jaw, Readings, UntoldJaw, read_joints
 from surgbench.recordings.tips import Tips, TipsUnit, read_tips
 
@@ -45,6 +46,13 @@ class BesideOptions(RobotArmOption):
         Field(
             description="The jaw in joints.csv: half, each jaw's angle from the midline, or full, the angle between "
             "both, as the dVRK has it; default: as the masks say, with half for a column q3 and full for a column jaw."
+        ),
+    ] = None
+    arm_names: Annotated[
+        str | None,
+        Field(
+            description="NAMES of the arms in joints.csv and tips.csv, in its columns (PSM1_yaw) or in a column arm, "
+            "as PSM1=right,PSM3=left."
         ),
     ] = None
     joints_arm: Annotated[
@@ -98,7 +106,7 @@ def read_beside(
         camera: Of the recording's pictures.
         instrument: Of the arms whose joints and tips they are.
         options: What is told of them.
-        arms: That the recording shows; with two, columns begin with an arm's name (``left_q1``).
+        arms: That the recording shows; with two, tables say whose a column or a row is (``left_q1``).
         maskless: Frames without a mask, whose rows are left out.
 
     Raises:
@@ -106,8 +114,9 @@ def read_beside(
     """
     readings: dict[str, Readings] = {}
     tips: dict[str, Tips] = {}
+    names = parse_arm_names(options.arm_names)
     for arm in arms:
-        whose = arm if len(arms) > 1 else ""
+        whose = Whose(arm, len(arms) > 1, names)
         read = read_joints(
             source / JOINTS_FILE,
             numbers,

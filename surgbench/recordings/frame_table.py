@@ -7,7 +7,7 @@ import csv
 import math
 import re
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -58,34 +58,6 @@ class FrameTable:
     rows: tuple[tuple[int, int, list[str]], ...]
     decimal_comma: bool
     example: str
-
-    def of_arm(self, whose: str = "") -> FrameTable:
-        """The columns of one arm, whose names are without it.
-
-        Args:
-            whose: The arm, where columns of two are expected; none where those of one are, which name no arm.
-
-        Raises:
-            DatasetError: It is the other way round; one line.
-        """
-        of_two = {column.name for column in self.columns}
-        if not whose:
-            if any(name.startswith("left_") and f"right_{name.removeprefix('left_')}" in of_two for name in of_two):
-                raise DatasetError(
-                    f"{self.path}: has columns of two arms; say --instances 1=left,2=right or --arms both, as the "
-                    "masks are"
-                )
-            return self
-        start = f"{whose}_"
-        own = tuple(
-            replace(column, name=column.name.removeprefix(start))
-            for column in self.columns
-            if column.name.startswith(start)
-        )
-        if not own:
-            _, first, *_, last = self.example.split(",")
-            raise DatasetError(f"{self.path}: has columns of one arm; those of two are left_{first}, ..., right_{last}")
-        return replace(self, columns=own)
 
     def values(
         self, columns: Sequence[Column], numbers: Sequence[int], *, complete: bool, maskless: Collection[int] = ()

@@ -16,6 +16,7 @@ import numpy as np
 from surgbench.errors import DatasetError
 from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument
+from surgbench.recordings.arm_columns import THE_ONLY_ONE, Whose, of_arm
 from surgbench.recordings.frame_table import Column, read_frame_table
 from surgbench.recordings.joint_columns import (
     ARM_JOINTS,
@@ -87,7 +88,7 @@ def read_joints(
     unit: AngleUnit | None = None,
     jaw: Jaw | None = None,
     arm: bool = False,
-    whose: str = "",
+    whose: Whose = THE_ONLY_ONE,
     maskless: Collection[int] = (),
 ) -> Readings | None:
     """Read and doubt a recording's joint readings.
@@ -100,7 +101,8 @@ def read_joints(
         jaw: Whether the jaw's column is each jaw's angle from the midline, or the whole angle between both; unless
             told, q3 is half and ``jaw`` is whole.
         arm: Take the six joints of the arm too.
-        whose: Arm whose columns are meant, where the file has those of two (``left_q1``).
+        whose: Arm whose columns or rows are meant, where the file has those of two
+            (:mod:`surgbench.recordings.arm_columns`).
         maskless: Frames without a mask, whose rows are left out.
 
     Returns:
@@ -115,7 +117,7 @@ def read_joints(
         if arm:
             raise DatasetError(f"{path}: missing; --joints-arm takes the arm's six joints from it")
         return None
-    table = table.of_arm(whose)
+    table = of_arm(table, whose)
     found = find_joints(table)
     if not found:
         raise DatasetError(f"{path}: line 1 must be '{HEADER}': it has no joint")
@@ -133,9 +135,9 @@ def read_joints(
     _doubt(joints, instrument, numbers, path, told)
     six = np.stack([read[name] for name in ARM_JOINTS], axis=1) if arm else None
     has_jaw = "jaw" not in instrument.observable or JAW in found or HALF_JAW in found
-    title = f"{path.name}, {whose} arm" if whose else path.name
     untold = _untold_jaw(joints, found, told, instrument, path)
-    return Readings(joints if has_jaw else None, six, _note(title, joints, found, told, arm), untold)
+    said = _note(whose.title(path.name), joints, found, told, arm)
+    return Readings(joints if has_jaw else None, six, said, untold)
 
 
 @dataclass(frozen=True)

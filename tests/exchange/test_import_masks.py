@@ -71,6 +71,57 @@ def test_instances_become_masks_of_two_arms(source: Path, capsys: pytest.Capture
     assert [unit.kind for unit in dataset.units("dual")] == ["both"]
 
 
+LAYOUTS = {
+    "frame,PSM1_wrist_pitch,PSM1_wrist_yaw,PSM1_half_jaw,PSM3_wrist_pitch,PSM3_wrist_yaw,PSM3_half_jaw": "PSM1",
+    "frame,q1_right,q2_right,q3_right,q1_left,q2_left,q3_left": "right",
+    "frame,arm,q1,q2,q3": "PSM1",
+    "frame,side,q1,q2,q3": "Right",
+}
+
+
+@pytest.mark.parametrize("header", LAYOUTS)
+def test_tables_of_two_arms_say_whose_each_column_or_row_is(
+    source: Path, capsys: pytest.CaptureFixture[str], header: str
+) -> None:
+    right = LAYOUTS[header]
+    left = {"PSM1": "PSM3", "right": "left", "Right": "LEFT"}[right]
+    lines: list[list[object]] = []
+    for frame in range(3):
+        put(source / f"masks/{frame:06d}.png", tool(frame) + 2 * tool(frame, 30))
+        by_row = header.split(",")[1] in ("arm", "side")
+        rows: list[list[object]] = [[frame, right, 0.4, 0.5, 0.6], [frame, left, 0.1, 0.2, 0.3]]
+        lines += rows if by_row else [[frame, 0.4, 0.5, 0.6, 0.1, 0.2, 0.3]]
+    (source / "joints.csv").write_text("\n".join([header, *(",".join(map(str, row)) for row in lines)]))
+    instances = ("--instances", "1=left,2=right")
+    names: tuple[str, ...] = ()
+    if right == "PSM1":
+        names = ("--arm-names", "PSM1=right,PSM3=left")
+        surgbench("import", "masks", source, *instances, "--out", source.with_name("data"), expect=2)
+        said = capsys.readouterr().err.splitlines()[-1]
+        assert "joints.csv: is of PSM1 and PSM3; which arm is which? for example --arm-names PSM1=left" in said
+    sequence = imported(source, *instances, *names)
+    np.testing.assert_array_equal(sequence.readings("right"), np.tile([0.4, 0.5, 0.6], (3, 1)))
+    np.testing.assert_array_equal(sequence.readings("left"), np.tile([0.1, 0.2, 0.3], (3, 1)))
+
+
+def test_of_a_table_of_two_arms_one_may_be_told(source: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for frame in range(3):
+        put(source / f"masks/{frame:06d}.png", tool(frame))
+    rows = [f"{frame},{arm},0.1,0.2,{0.1 * arm}" for frame in range(3) for arm in (1, 2)]
+    (source / "joints.csv").write_text("\n".join(["frame,arm,q1,q2,q3", *rows]))
+    (source / "tips.csv").write_text("frame,u1,v1,u2,v2\n0,10,11,12,13\n")  # of one arm, whose it is
+    out = ("--out", source.with_name("data"))
+    surgbench("import", "masks", source, *out, expect=2)
+    assert "is of 1 and 2; which arm is which? for example --arm-names 1=left,2=right" in capsys.readouterr().err
+    surgbench("import", "masks", source, "--arm-names", "1=up", *out, expect=2)
+    assert "--arm-names: must be like PSM1=right,PSM3=left, not '1=up'" in capsys.readouterr().err
+    surgbench("import", "masks", source, "--arm-names", "1=right", *out, expect=2)
+    assert "joints.csv: is of 1 and 2; which arm is which?" in capsys.readouterr().err
+    sequence = imported(source, "--arm-names", "2=left")
+    np.testing.assert_array_equal(sequence.readings("left"), np.tile([0.1, 0.2, 0.2], (3, 1)))
+    np.testing.assert_array_equal(sequence.keypoints("left")[0], [[10, 11], [12, 13]])
+
+
 def test_two_tools_in_one_mask_are_doubted_and_told(source: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for frame in range(3):
         put(source / f"masks/{frame:06d}.png", 255 * (tool(frame) + tool(frame, 30)))
