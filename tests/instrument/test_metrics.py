@@ -183,7 +183,7 @@ def test_jitter_is_the_acceleration_of_the_midpoint() -> None:
 
 def test_jitter_goes_by_the_time_where_frames_are_missing() -> None:
     """Constant velocity has none, constant acceleration its own, whatever gaps there are."""
-    time = np.delete(np.arange(40), [3, 4, 11, 25, 26, 27, 28, 39]) * 0.04
+    time = np.delete(0.04 * np.arange(40, dtype=np.float64), [3, 4, 11, 25, 26, 27, 28, 39])
     steps = steps_s(time, 0.04)
     even, falling = np.outer(time, [0.3, -0.1, 0.05]), np.outer(time**2 / 2, [0.0, 0.6, 0.8])
     for path, acceleration in ((even, 0.0), (even + falling, 1.0)):
@@ -196,7 +196,7 @@ def test_jitter_goes_by_the_time_where_frames_are_missing() -> None:
 
 
 def test_lag_goes_by_the_time_where_frames_are_missing() -> None:
-    time = np.delete(np.arange(40), [3, 4, 11, 25, 26, 27, 28])[:, None] * 0.04
+    time = np.delete(0.04 * np.arange(40, dtype=np.float64), [3, 4, 11, 25, 26, 27, 28])[:, None]
     late_s, rate = 0.05, np.array([0.02, -0.01, 0.005])
     assert lag((time - late_s) * rate, time * rate, steps_s(time[:, 0], 0.04)) == pytest.approx(late_s, abs=1e-12)
 
