@@ -7,7 +7,6 @@ model may be missing, and :mod:`surgbench.camera.files` does without them or ref
 from __future__ import annotations
 
 import io
-import json
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -21,7 +20,7 @@ from surgbench.camera.lens import DistortionModel
 from surgbench.config import parse_value
 from surgbench.errors import ConfigError, DatasetError, unknown_name
 from surgbench.geometry import FloatArray
-from surgbench.syntax import PARSING
+from surgbench.syntax import PARSING, parse_json
 
 KEYS = "width, height, fx, fy, cx, cy"
 _INTRINSICS = ("fx", "fy", "cx", "cy")
@@ -131,8 +130,8 @@ def _content(path: Path) -> tuple[Any, str]:
         return numbers, ""
     if text.startswith(("{", "[")):
         try:
-            return json.loads(text), "JSON"
-        except json.JSONDecodeError as error:
+            return parse_json(text), "JSON"
+        except ValueError as error:
             raise ValueError(f"not valid JSON ({error})") from None
     try:
         # What `rostopic echo` prints ends in the separator of documents.

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
 from surgbench.errors import DatasetError
+from surgbench.syntax import parse_json
 
 
 def read_json(path: Path) -> Any:
@@ -16,8 +16,8 @@ def read_json(path: Path) -> Any:
         DatasetError: It cannot be read, or is not JSON; one line.
     """
     try:
-        return json.loads(path.read_text(encoding="utf-8-sig"))
+        return parse_json(path.read_text(encoding="utf-8-sig"))
     except OSError as error:
         raise DatasetError(f"{path}: cannot be read ({error.strerror})") from None
-    except (UnicodeDecodeError, json.JSONDecodeError) as error:
+    except ValueError as error:
         raise DatasetError(f"{path}: not valid JSON ({error})") from None

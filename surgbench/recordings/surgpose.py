@@ -21,6 +21,7 @@ from surgbench.camera import Camera
 from surgbench.config import parse_model
 from surgbench.errors import ConfigError, DatasetError
 from surgbench.geometry import FloatArray, is_rigid, rigid_transform
+from surgbench.syntax import parse_yaml
 
 # Its names of arms to ours, and what is added to the ids of their points.
 ARMS = {"left": "PSM3", "right": "PSM1"}
@@ -191,11 +192,11 @@ def _number(path: Path, parser: configparser.ConfigParser, section: str, name: s
 def _load(path: Path) -> dict[Any, Any]:
     try:
         # The C loader: these files have tens of thousands of entries.
-        content = yaml.load(path.read_bytes(), Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader))
+        content = parse_yaml(path.read_bytes(), getattr(yaml, "CSafeLoader", yaml.SafeLoader))
     except OSError as error:
         raise DatasetError(f"{path}: cannot be read ({error.strerror})") from None
-    except (UnicodeDecodeError, yaml.YAMLError) as error:
-        raise DatasetError(f"{path}: not valid YAML ({' '.join(str(error).split())})") from None
+    except ValueError as error:
+        raise DatasetError(f"{path}: not valid YAML ({error})") from None
     if not isinstance(content, dict):
         raise DatasetError(f"{path}: must be a mapping")
     return content
