@@ -63,7 +63,7 @@ def find_trajectories(source: Path) -> dict[str, Path]:
         raise DatasetError(f"{source}: no such folder; expected SurgPose's, with 000000, 000001, ...")
     if (source / CALIBRATION_FILE).is_file():
         return {source.resolve().name: source}
-    found = {path.name: path for path in sorted(source.iterdir()) if path.name.isdigit() and path.is_dir()}
+    found = {path.name: path for path in sorted(source.iterdir()) if path.name.isdecimal() and path.is_dir()}
     if not found:
         raise DatasetError(f"{source}: holds no trajectories of SurgPose (000000, 000001, ..., or one's own files)")
     return found
@@ -108,7 +108,7 @@ def read_keypoints(path: Path, frames: int) -> dict[str, dict[str, FloatArray]]:
         for key, point in _mapping(path, frame, marked).items():
             if point is None or point == "None":
                 continue
-            if not str(key).isdigit() or int(key) not in place:
+            if not str(key).isdecimal() or int(key) not in place:
                 raise DatasetError(f"{path}: frame {frame}: no point {key} (PSM1 has 1 to 7, PSM3 8 to 14)")
             label, arm = place[int(key)]
             points[label][arm][frame] = _floats(path, frame, point, 2)
@@ -150,7 +150,7 @@ def read_jaws(folder: Path, frames: int) -> dict[str, FloatArray] | None:
     if path == common:
         name = folder.resolve().name
         keyed = {str(key): value for key, value in content.items()}
-        content = keyed.get(name, keyed.get(str(int(name)) if name.isdigit() else name))
+        content = keyed.get(name, keyed.get(str(int(name)) if name.isdecimal() else name))
         if content is None:
             raise DatasetError(f"{path}: has no trajectory {name}")
     jaws = {}
@@ -206,7 +206,7 @@ def _numbered(path: Path, content: dict[Any, Any], frames: int) -> dict[int, Any
     """What a file has by frame; frames are numbers or texts."""
     numbered: dict[int, Any] = {}
     for key, value in content.items():
-        if not str(key).isdigit():
+        if not str(key).isdecimal():
             raise DatasetError(f"{path}: '{key}' is not a frame's number")
         numbered[int(key)] = value
     last = max(numbered, default=-1)
