@@ -105,7 +105,7 @@ def read_beside(
     readings: dict[str, Readings] = {}
     tips: dict[str, Tips] = {}
     for arm in arms:
-        whose = arm if len(arms) > 1 else ""
+        whose, only = (arm, "") if len(arms) > 1 else ("", arm)
         read = read_joints(
             source / JOINTS_FILE,
             numbers,
@@ -114,9 +114,12 @@ def read_beside(
             jaw=options.jaw,
             arm=options.joints_arm,
             whose=whose,
+            only=only,
             maskless=maskless,
         )
-        marked = read_tips(source / TIPS_FILE, numbers, camera, options.tips_unit, whose=whose, maskless=maskless)
+        marked = read_tips(
+            source / TIPS_FILE, numbers, camera, options.tips_unit, whose=whose, only=only, maskless=maskless
+        )
         readings |= {} if read is None else {arm: read}
         tips |= {} if marked is None else {arm: marked}
     points = {arm: one.points for arm, one in tips.items()}

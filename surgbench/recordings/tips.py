@@ -46,6 +46,7 @@ def read_tips(
     unit: TipsUnit | None = None,
     *,
     whose: str = "",
+    only: str = "",
     maskless: Collection[int] = (),
 ) -> Tips | None:
     """Read and doubt a recording's tips.
@@ -60,6 +61,7 @@ def read_tips(
         unit: What the numbers are; pixels unless told, if they can be. A fraction counts from the picture's edge, so
             that 0 is half a pixel before the first one's centre.
         whose: Arm whose columns are meant, where the file has those of two (``left_u1``).
+        only: Arm that the recording shows, where it is one.
         maskless: Frames without a mask, whose rows are left out.
 
     Returns:
@@ -71,7 +73,7 @@ def read_tips(
     table = read_frame_table(path, HEADER)
     if table is None:
         return None
-    table = table.of_arm(whose)
+    table = table.of_arm(whose, only)
     points = table.values(_columns(table), numbers, complete=False, maskless=maskless).reshape(-1, 2, 2)
     points[np.isnan(points).any(axis=2)] = np.nan
     unseen = np.any([(points == value).all(axis=2) for value in NOT_SEEN], axis=0)

@@ -84,6 +84,18 @@ def test_two_tools_in_one_mask_are_doubted_and_told(source: Path, capsys: pytest
     assert [(unit.arms, unit.kind) for unit in dataset.units("dual")] == [(("left", "right"), "both")]
 
 
+def test_tips_that_lie_elsewhere_are_doubted(source: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for frame in range(3):
+        put(source / f"masks/{frame:06d}.png", 255 * tool(frame))
+    rows = [f"{frame},{24 + frame},10,{25 + frame},14" for frame in range(3)]
+    (source / "tips.csv").write_text("\n".join(["frame,u1,v1,u2,v2", *rows]))
+    imported(source)
+    assert "warning" not in capsys.readouterr().err
+    (source / "tips.csv").write_text("\n".join(["frame,v1,u1,v2,u2", *rows]))
+    surgbench("import", "masks", source, "--out", source.with_name("exchanged"))
+    assert "warning: tips.csv: 6 of 6 tips lie more than 4 pixels from the mask" in capsys.readouterr().err
+
+
 def test_jpeg_masks_are_cut_with_a_warning(source: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for frame in range(3):
         put(source / f"masks/{frame:06d}.jpg", 255 * tool(frame))
