@@ -12,6 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+# Polygons may leave the picture, but not by so many of its sides.
+_FARTHEST = 10
 _FIRST, _BITS, _MORE, _SIGN = 48, 5, 0x20, 0x10
 
 
@@ -74,13 +76,15 @@ def draw_polygons(polygons: Sequence[Sequence[float]], height: int, width: int) 
         ``(height, width)`` bool.
 
     Raises:
-        ValueError: One has not at least three points.
+        ValueError: One has not at least three points, or is of another picture.
     """
     mask = np.zeros((height, width), dtype=bool)
     for polygon in polygons:
         points = np.array(polygon, dtype=np.float64)
         if points.ndim != 1 or len(points) < 6 or len(points) % 2 or not np.isfinite(points).all():
             raise ValueError("a polygon has less than three points")
+        if np.abs(points).max() > _FARTHEST * max(height, width):
+            raise ValueError(f"a polygon reaches {np.abs(points).max():g} pixels, in a picture of {width}x{height}")
         mask |= _inside(points.reshape(-1, 2), height, width)
     return mask
 

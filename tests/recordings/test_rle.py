@@ -64,6 +64,11 @@ def test_polygons_cover_their_pixels() -> None:
     assert np.array_equal(mask, expected)
 
 
+def test_polygons_of_another_picture_are_refused() -> None:
+    with pytest.raises(ValueError, match=r"a polygon reaches 1e\+09 pixels, in a picture of 8x6"):
+        draw_polygons([[2, 1, 1e9, 1, 6, 4]], 6, 8)
+
+
 def test_polygons_are_as_large_as_their_area() -> None:
     """A disc's, that leaves the picture on the right; pixels count by their centres."""
     turn = np.linspace(0, 2 * np.pi, 400, endpoint=False)
