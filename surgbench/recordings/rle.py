@@ -62,8 +62,12 @@ def decode_rle(counts: str | Sequence[int], height: int, width: int) -> NDArray[
         array([[0, 1],
                [1, 0]])
     """
-    lengths = np.array(decode_counts(counts) if isinstance(counts, str) else counts, dtype=np.int64).reshape(-1)
-    if (lengths < 0).any() or lengths.sum() != height * width:
+    try:
+        lengths = np.array(decode_counts(counts) if isinstance(counts, str) else counts, dtype=np.int64).reshape(-1)
+    except (TypeError, OverflowError):
+        raise ValueError("an RLE's 'counts' must be whole numbers") from None
+    # Each by itself, too: the sum of a few could wrap round.
+    if (lengths < 0).any() or (lengths > height * width).any() or lengths.sum() != height * width:
         raise ValueError(f"an RLE has {int(lengths.sum())} pixels, not {width}x{height}")
     flat = np.repeat(np.arange(len(lengths)) % 2 == 1, lengths)
     return np.ascontiguousarray(flat.reshape(width, height).T)
@@ -80,7 +84,10 @@ def draw_polygons(polygons: Sequence[Sequence[float]], height: int, width: int) 
     """
     mask = np.zeros((height, width), dtype=bool)
     for polygon in polygons:
-        points = np.array(polygon, dtype=np.float64)
+        try:
+            points = np.array(polygon, dtype=np.float64)
+        except (TypeError, ValueError):
+            raise ValueError("a polygon must be numbers") from None
         if points.ndim != 1 or len(points) < 6 or len(points) % 2 or not np.isfinite(points).all():
             raise ValueError("a polygon has less than three points")
         if np.abs(points).max() > _FARTHEST * max(height, width):
@@ -115,6 +122,6 @@ def decode_segmentation(segmentation: Any, height: int, width: int) -> NDArray[n
     if not isinstance(segmentation, dict) or not isinstance(segmentation.get("counts"), str | list):
         raise ValueError("'segmentation' must be polygons, or a mapping with 'counts' and 'size'")
     size = segmentation.get("size", [height, width])
-    if list(size) != [height, width]:
+    if not isinstance(size, list | tuple) or list(size) != [height, width]:
         raise ValueError(f"an RLE has the size {size} ([height, width]), not [{height}, {width}]")
     return decode_rle(segmentation["counts"], height, width)

@@ -64,6 +64,12 @@ def test_polygons_cover_their_pixels() -> None:
     assert np.array_equal(mask, expected)
 
 
+@pytest.mark.parametrize("counts", [[2**62] * 4 + [48], [2**70], [None], [[1], 2]])
+def test_runs_that_are_no_lengths_are_refused(counts: list[int]) -> None:
+    with pytest.raises(ValueError, match=r"an RLE|inhomogeneous"):
+        decode_rle(counts, 6, 8)
+
+
 def test_polygons_of_another_picture_are_refused() -> None:
     with pytest.raises(ValueError, match=r"a polygon reaches 1e\+09 pixels, in a picture of 8x6"):
         draw_polygons([[2, 1, 1e9, 1, 6, 4]], 6, 8)
