@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+import tracemalloc
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from commandline import RUN, STRANGERS, records, surgbench
 
 from surgbench.dataset.open import open_as
 from surgbench.dataset.validate import validate
+from surgbench.exchange.masks import import_masks
 from surgbench.tasks.instrument.dataset import InstrumentDataset, Sequence
 
 WIDTH, HEIGHT = 64, 48
@@ -161,6 +163,28 @@ def test_masks_of_every_third_frame_keep_their_time(source: Path, capsys: pytest
     readings = sequence.readings("left")
     assert readings is not None
     np.testing.assert_array_equal(readings[:, 2], [0.0, 0.3, 0.6])
+
+
+def test_memory_does_not_grow_with_the_recording(tmp_path: Path) -> None:
+    """Nor with the numbers in its names."""
+    width, height = 640, 480
+    picture = np.zeros((height, width), np.uint8)
+    picture[100:180, :300] = 255
+
+    def most(frames: int) -> int:
+        root = tmp_path / f"of {frames}"
+        for frame in range(frames):
+            put(root / f"masks/{1403636579763555584 + 50_000_000 * frame}.png", picture)
+        scale = {"width": width, "height": height, "fx": 800.0, "fy": 800.0, "cx": 319.5, "cy": 239.5}
+        (root / "camera.json").write_text(json.dumps(scale))
+        tracemalloc.start()
+        import_masks(root, tmp_path / f"data of {frames}")
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        return peak
+
+    most(2)  # what is loaded once
+    assert most(40) < most(10) + 3 * width * height
 
 
 def test_what_systems_leave_is_no_part_of_a_recording_or_dataset(source: Path) -> None:
