@@ -69,8 +69,9 @@ class EndoVisImporter(Plugin):
         config, lines = self.config, list[str]()
         points = self._read(source)
         folder = points.path.parent
-        numbered = number_files(map(Path, points.names))
-        order = [points.names.index(str(path)) for path in numbered.values()]
+        places = {folder / name: place for place, name in enumerate(points.names)}
+        numbered = number_files(places)
+        order = [places[path] for path in numbered.values()]
         pictures = self._pictures(folder, [Path(points.names[place]).name for place in order])
         size = None if pictures is None else picture_size(pictures[0])
         camera = config.read(folder, size, lines.append)

@@ -70,7 +70,7 @@ def _said(found: JawEvidence) -> str:
 def _frames(recording: Recording, coding: Coding, arm: str, jaw: UntoldJaw) -> list[JawFrame]:
     """Frames with the jaws well open that show most of the instrument."""
     apart = np.abs(jaw.joints - jaw.otherwise)[:, 2]
-    wide = np.flatnonzero(apart >= apart.max() / 2)
+    wide = np.flatnonzero(apart >= np.nanmax(apart) / 2)  # a frame without a reading is none
     places = wide[np.unique(np.linspace(0, len(wide) - 1, LOOKED_AT).astype(int))].tolist()
     lens = Undistortion(recording.camera)
     shown: list[tuple[float, int, Mask]] = []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
@@ -94,7 +95,7 @@ class SurgPoseImporter(Plugin):
                 f"warning: {name}: which instruments it shows is not published; taken for {config.instrument} "
                 "(--instrument says otherwise)"
                 for name in trajectories
-                if name.isdigit() and int(name) not in files.NEEDLE_DRIVERS
+                if name.isdecimal() and int(name) not in files.NEEDLE_DRIVERS
             ]
         robot_arm = load_arm(config.robot_arm).model_dump(mode="json")
         configuration = {**config.configuration(self.name), "T_right_left": stereos, ROBOT_ARM: robot_arm}
@@ -114,12 +115,15 @@ class SurgPoseImporter(Plugin):
         found = files.find_trajectories(source)
         if self.config.trajectories is None:
             return found
-        wanted = parse_numbers(self.config.trajectories, "--trajectories")
-        numbered = {int(name): name for name in found if name.isdigit()}
-        missing = [number for number in wanted if number not in numbered]
-        if missing:
-            raise ConfigError(f"--trajectories: {source} has no trajectory {missing[0]:06d}")
-        return {numbered[number]: found[numbered[number]] for number in wanted}
+        numbered = {int(name): name for name in found if name.isdecimal()}
+        wanted = set[int]()
+        for numbers in parse_numbers(self.config.trajectories, "--trajectories"):
+            # The first that is missing ends it, however many were asked for.
+            missing = next((number for number in numbers if number not in numbered), None)
+            if missing is not None:
+                raise ConfigError(f"--trajectories: {source} has no trajectory {missing:06d}")
+            wanted |= set(numbers)
+        return {numbered[number]: found[numbered[number]] for number in sorted(wanted)}
 
     def _video(self, folder: Path) -> MaskVideo:
         place = folder / files.VIDEO_FILE.format(eye=self.config.eye)
@@ -145,6 +149,11 @@ class SurgPoseImporter(Plugin):
         jaws = files.read_jaws(folder, count, lines.append)
         times_s = np.arange(count) / config.fps
         if name in lags:
+            for arm, lag in lags[name].items():
+                if abs(lag) >= count:
+                    raise ConfigError(
+                        f"--lag: {lag:g} frames of the {arm} arm in {name}, which has {count}: no reading is left"
+                    )
             arm_joints = {arm: move_readings(own, lags[name].get(arm, 0.0)) for arm, own in arm_joints.items()}
             if jaws is not None:
                 jaws = {arm: move_readings(own[:, None], lags[name].get(arm, 0.0))[:, 0] for arm, own in jaws.items()}
@@ -174,7 +183,7 @@ class SurgPoseImporter(Plugin):
             arm_joints={arm: arm_joints[arm][keep] for arm in ARMS},
             labels={label: {arm: by_arm[arm][keep] for arm in ARMS} for label, by_arm in labels.items()},
             views={} if other is None else self._second_view(folder, stereo, other, count),
-            speed="fast" if name.isdigit() and int(name) in files.FAST else "nominal",
+            speed="fast" if name.isdecimal() and int(name) in files.FAST else "nominal",
             halved=config.half,
             dt_s=1.0 / config.fps,
         )
@@ -217,19 +226,21 @@ class SurgPoseImporter(Plugin):
             )
 
 
-def parse_numbers(text: str, option: str) -> list[int]:
-    """Numbers and ranges of them, as ``0-7,30-33``, increasing.
+def parse_numbers(text: str, option: str) -> list[range]:
+    """Numbers and ranges of them, as ``0-7,30-33``.
 
     Raises:
         ConfigError: It is something else; one line with an example.
     """
-    numbers: set[int] = set()
+    numbers: list[range] = []
     for part in text.split(","):
         first, dash, last = part.strip().partition("-")
-        if not first.isdigit() or (dash and not last.isdigit()) or (dash and int(last) < int(first)):
+        given = (first, last) if dash else (first, first)
+        # Longer ones are no number of a folder, and some of them none that can be read.
+        if not all(re.fullmatch(r"[0-9]{1,18}", one) for one in given) or int(given[1]) < int(given[0]):
             raise ConfigError(f"{option}: must be like 0-7,30-33, not '{text}'")
-        numbers |= set(range(int(first), int(last if dash else first) + 1))
-    return sorted(numbers)
+        numbers.append(range(int(given[0]), int(given[1]) + 1))
+    return numbers
 
 
 def _tips(labels: Mapping[str, Mapping[str, FloatArray]], keep: Sequence[int]) -> dict[Arm, FloatArray]:

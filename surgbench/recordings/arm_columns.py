@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 
 from surgbench.errors import ConfigError, DatasetError
@@ -22,12 +22,12 @@ class Whose:
     """Whose columns or rows are meant.
 
     Attributes:
-        arm: ``left`` or ``right``.
+        arm: ``left`` or ``right``; empty where nobody knows.
         several: The recording shows two arms, and so must the table.
         names: What the table calls the arms beside ``left`` and ``right``, from :func:`parse_arm_names`.
     """
 
-    arm: str = "left"
+    arm: str = ""
     several: bool = False
     names: Mapping[str, str] = field(default_factory=dict)
 
@@ -68,7 +68,14 @@ def of_arm(table: FrameTable, whose: Whose) -> FrameTable:
     by_row = next((column for column in table.columns if column.name in _OF_ROWS), None)
     parts = _arms_of_rows(table, by_row) if by_row is not None else _arms_of_columns(table)
     if not whose.several and len(parts) < 2 and not (whose.names and parts):
-        return table
+        if not whose.arm or by_row is not None or not _are_all_of(table, ARMS):
+            return table
+        (only,) = parts
+        if only != whose.arm:
+            raise DatasetError(
+                f"{table.path}: has columns of the {only} arm, and the masks are of the {whose.arm} one; if they are "
+                f"not: --arms {only}"
+            )
     _, first, *_, last = table.example.split(",")
     wanted = f"those of two are left_{first}, ..., right_{last}, or have a column 'arm'"
     if not parts:
@@ -96,6 +103,12 @@ def of_arm(table: FrameTable, whose: Whose) -> FrameTable:
     return replace(
         table, columns=tuple(replace(column, name=found[1]) for column, found in named if found and found[0] == own[0])
     )
+
+
+def _are_all_of(table: FrameTable, arms: Collection[str]) -> bool:
+    """Whether every column names one of these arms."""
+    split = [_split(column) for column in table.columns]
+    return bool(split) and all(found is not None and found[0] in arms for found in split)
 
 
 def _split(column: Column) -> tuple[str, str] | None:

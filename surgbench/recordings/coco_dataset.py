@@ -175,6 +175,13 @@ def _time(image: Mapping[str, Any]) -> float | None:
     return float(time_s) if isinstance(time_s, int | float) and np.isfinite(time_s) else None
 
 
+def _size(path: Path, image: dict[str, Any]) -> tuple[int, int]:
+    size = image.get("width"), image.get("height")
+    if not all(isinstance(side, int | float) and float(side).is_integer() and side > 0 for side in size):
+        raise DatasetError(f"{path}: '{image['file_name']}': 'width' and 'height' must be pixels, not {size}")
+    return int(image["width"]), int(image["height"])
+
+
 def _in_order(path: Path, images: list[dict[str, Any]], objects: dict[Any, list[dict[str, Any]]]) -> list[CocoImage]:
     key = next((key for key in _FRAME_KEYS if all(isinstance(one.get(key), int) for one in images)), None)
     if key is None:
@@ -185,8 +192,6 @@ def _in_order(path: Path, images: list[dict[str, Any]], objects: dict[Any, list[
     if len(numbered) < len(images):
         raise DatasetError(f"{path}: two images are the same frame of '{images[0]['file_name']}' and those beside it")
     return [
-        CocoImage(
-            str(one["file_name"]), number, (int(one["width"]), int(one["height"])), _time(one), objects[one["id"]]
-        )
+        CocoImage(str(one["file_name"]), number, _size(path, one), _time(one), objects[one["id"]])
         for number, one in numbered.items()
     ]

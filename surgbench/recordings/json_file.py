@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
 from surgbench.errors import DatasetError
 from surgbench.leftovers import without_leftovers
+from surgbench.syntax import parse_json
 
 
 def find_json(source: Path, importer: str, name: str, *, folders: tuple[str, ...] = (".",)) -> Path:
@@ -41,8 +41,8 @@ def read_json(path: Path) -> Any:
         DatasetError: It cannot be read, or is not JSON; one line.
     """
     try:
-        return json.loads(path.read_text(encoding="utf-8-sig"))
+        return parse_json(path.read_text(encoding="utf-8-sig"))
     except OSError as error:
         raise DatasetError(f"{path}: cannot be read ({error.strerror})") from None
-    except (UnicodeDecodeError, json.JSONDecodeError) as error:
+    except ValueError as error:
         raise DatasetError(f"{path}: not valid JSON ({error})") from None

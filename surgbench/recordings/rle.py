@@ -12,13 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surgbench.pictures import MAX_SIDE
-
 _FIRST, _BITS, _MORE, _SIGN = 48, 5, 0x20, 0x10
 # Into how many parts pycocotools divides a pixel's side.
 _FINER = 5
-# Coordinates beyond are no outline of anything that a picture shows.
-_FURTHEST = 4.0 * MAX_SIDE
+# Polygons may leave the picture, but not by so many of its sides, or by more than this: then they are another's.
+_FARTHEST_SIDES, _FARTHEST_PX = 10, 1000
 
 
 def decode_counts(text: str) -> list[int]:
@@ -66,8 +64,12 @@ def decode_rle(counts: str | Sequence[int], height: int, width: int) -> NDArray[
         array([[0, 1],
                [1, 0]])
     """
-    lengths = np.array(decode_counts(counts) if isinstance(counts, str) else counts, dtype=np.int64).reshape(-1)
-    if (lengths < 0).any() or lengths.sum() != height * width:
+    try:
+        lengths = np.array(decode_counts(counts) if isinstance(counts, str) else counts, dtype=np.int64).reshape(-1)
+    except (TypeError, OverflowError):
+        raise ValueError("an RLE's 'counts' must be whole numbers") from None
+    # Each by itself, too: the sum of a few could wrap round.
+    if (lengths < 0).any() or (lengths > height * width).any() or lengths.sum() != height * width:
         raise ValueError(f"an RLE has {int(lengths.sum())} pixels, not {width}x{height}")
     flat = np.repeat(np.arange(len(lengths)) % 2 == 1, lengths)
     return np.ascontiguousarray(flat.reshape(width, height).T)
@@ -82,14 +84,17 @@ def draw_polygons(polygons: Sequence[Sequence[float]], height: int, width: int) 
         ``(height, width)`` bool, the union of all.
 
     Raises:
-        ValueError: One has not at least three points, or reaches further out than a picture can be large.
+        ValueError: One has not at least three points, or is of another picture.
     """
     mask = np.zeros((height, width), dtype=bool)
     for polygon in polygons:
-        points = np.array(polygon, dtype=np.float64)
+        try:
+            points = np.array(polygon, dtype=np.float64)
+        except (TypeError, ValueError):
+            raise ValueError("a polygon must be numbers") from None
         if points.ndim != 1 or len(points) < 6 or len(points) % 2 or not np.isfinite(points).all():
             raise ValueError("a polygon has less than three points")
-        if np.abs(points).max() > _FURTHEST:
+        if np.abs(points).max() > max(_FARTHEST_SIDES * max(height, width), _FARTHEST_PX):
             raise ValueError(f"a polygon reaches {np.abs(points).max():g}, far outside of {width}x{height} pixels")
         mask |= _inside(points.reshape(-1, 2), height, width)
     return mask
@@ -135,6 +140,6 @@ def decode_segmentation(segmentation: Any, height: int, width: int) -> NDArray[n
     if not isinstance(segmentation, dict) or not isinstance(segmentation.get("counts"), str | list):
         raise ValueError("'segmentation' must be polygons, or a mapping with 'counts' and 'size'")
     size = segmentation.get("size", [height, width])
-    if list(size) != [height, width]:
+    if not isinstance(size, list | tuple) or list(size) != [height, width]:
         raise ValueError(f"an RLE has the size {size} ([height, width]), not [{height}, {width}]")
     return decode_rle(segmentation["counts"], height, width)

@@ -22,6 +22,7 @@ from surgbench.camera import Camera
 from surgbench.config import parse_model
 from surgbench.errors import ConfigError, DatasetError
 from surgbench.geometry import FloatArray, is_rigid, rigid_transform
+from surgbench.syntax import parse_yaml
 
 # Its names of arms to ours, and what is added to the ids of their points.
 ARMS = {"left": "PSM3", "right": "PSM1"}
@@ -66,7 +67,7 @@ def find_trajectories(source: Path) -> dict[str, Path]:
         raise DatasetError(f"{source}: no such folder; expected SurgPose's, with 000000, 000001, ...")
     if (source / CALIBRATION_FILE).is_file():
         return {source.resolve().name: source}
-    found = {path.name: path for path in sorted(source.iterdir()) if path.name.isdigit() and path.is_dir()}
+    found = {path.name: path for path in sorted(source.iterdir()) if path.name.isdecimal() and path.is_dir()}
     if not found:
         raise DatasetError(f"{source}: holds no trajectories of SurgPose (000000, 000001, ..., or one's own files)")
     return found
@@ -116,7 +117,7 @@ def read_keypoints(path: Path, frames: int, tell: Tell = lambda line: None) -> d
         for key, point in _mapping(path, frame, marked).items():
             if point is None or point == "None":
                 continue
-            if not str(key).isdigit() or int(key) not in place:
+            if not str(key).isdecimal() or int(key) not in place:
                 raise DatasetError(f"{path}: frame {frame}: no point {key} (PSM1 has 1 to 7, PSM3 8 to 14)")
             label, arm = place[int(key)]
             points[label][arm][frame] = _floats(path, frame, point, 2)
@@ -161,7 +162,7 @@ def read_jaws(folder: Path, frames: int, tell: Tell = lambda line: None) -> dict
     content: Any = _load(path) if path.is_file() else {}
     if path == common:
         keyed = {str(key): value for key, value in content.items()}
-        content = keyed.get(name, keyed.get(str(int(name)) if name.isdigit() else name))
+        content = keyed.get(name, keyed.get(str(int(name)) if name.isdecimal() else name))
     if content is None or not path.is_file():
         lack = f"{path.name} has no trajectory {name}" if path.is_file() else f"no {JAW_FILE}"
         tell(f"{name}: {lack}, so no readings of q3; the arm's joints are kept")
@@ -219,11 +220,11 @@ _Loader.add_constructor("tag:yaml.org,2002:int", lambda loader, node: int(loader
 
 def _load(path: Path) -> dict[Any, Any]:
     try:
-        content = yaml.load(path.read_bytes(), Loader=_Loader)
+        content = parse_yaml(path.read_bytes(), _Loader)
     except OSError as error:
         raise DatasetError(f"{path}: cannot be read ({error.strerror})") from None
-    except (ValueError, yaml.YAMLError) as error:
-        raise DatasetError(f"{path}: not valid YAML ({' '.join(str(error).split())})") from None
+    except ValueError as error:
+        raise DatasetError(f"{path}: not valid YAML ({error})") from None
     if not isinstance(content, dict):
         raise DatasetError(f"{path}: must be a mapping")
     return content
@@ -233,7 +234,7 @@ def _numbered(path: Path, content: dict[Any, Any], frames: int, tell: Tell) -> d
     """What a file has by frame; frames are numbers or texts. A few may lie beyond the video's end."""
     numbered: dict[int, Any] = {}
     for key, value in content.items():
-        if not str(key).isdigit():
+        if not str(key).isdecimal():
             raise DatasetError(f"{path}: '{key}' is not a frame's number")
         numbered[int(key)] = value
     last = max(numbered, default=-1)

@@ -203,11 +203,10 @@ def test_what_is_exported_comes_back(tmp_path: Path) -> None:
     (tmp_path / "rec/tips.csv").write_text(
         "frame,left_u1,left_v1,left_u2,left_v2,right_u1,right_v1,right_u2,right_v2\n0,5,9,6,9,7,31,8,32\n"
     )
-    camera = put_camera(tmp_path / "rec")
+    put_camera(tmp_path / "rec")
     surgbench("import", "masks", tmp_path / "rec", "--instances", "1=left,2=right", "--out", tmp_path / "first")
     surgbench("export", tmp_path / "first", "--format", "coco", "--out", tmp_path / "coco")
-    options = ("--camera", camera, "--without-images")
-    second = imported("coco", tmp_path / "coco", *options, out=tmp_path / "second").sequences[0]
+    second = imported("coco", tmp_path / "coco", "--without-images", out=tmp_path / "second").sequences[0]
     first = open_as(InstrumentDataset, tmp_path / "first").sequences[0]
     assert (second.id, second.arms, second.camera) == (first.id, first.arms, CAMERA)
     for kind in first.entry.kinds:

@@ -208,8 +208,11 @@ def test_what_grows_evenly_is_moved_exactly(lag: float, slope: float) -> None:
 def test_what_does_not_fit_is_one_line(source: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out, folder = tmp_path / "data", source / "000000"
     assert "has no trajectory 000005" in refused(capsys, "surgpose", source, "--trajectories", "5", out=out)
-    assert "must be like 0-7,30-33" in refused(capsys, "surgpose", source, "--trajectories", "a", out=out)
+    assert "has no trajectory" in refused(capsys, "surgpose", source, "--trajectories", "0-999999999999999", out=out)
+    for numbers in ("a", "3-1", "²", "9" * 5000):
+        assert "must be like 0-7,30-33" in refused(capsys, "surgpose", source, "--trajectories", numbers, out=out)
     assert "holds neither PSM1 nor PSM3" in refused(capsys, "surgpose", folder, "--masks", tmp_path, out=out)
+    assert "no reading is left" in refused(capsys, "surgpose", folder, "--lag", FRAMES, out=out)
     assert "--lag: 'x' is no number" in refused(capsys, "surgpose", folder, "--lag", "x", out=out)
     put_jaw(folder / "gripper_angle.yaml", {"PSM1": jaws_of("PSM1"), "PSM3": [0.1]})
     assert "1 angles of PSM3; expected 5 or 4" in refused(capsys, "surgpose", folder, out=out)

@@ -184,6 +184,14 @@ WRONG: dict[str, tuple[Callable[[pd.DataFrame], pd.DataFrame], str]] = {
     "degrees": (change("q1_rad", 45.0), "'q1' is 45 rad; for degrees name the column 'q1_deg'"),
     "degrees of the pose": (change("beta_rad", 120.0), "an angle is 120 rad; for degrees .* beta_deg"),
     "millimetres": (change("z_m", 130.0), "is 130 m away; for millimetres name the columns 'x_mm', 'y_mm', 'z_mm'"),
+    "metres called millimetres": (
+        lambda t: t.rename(columns={f"{axis}_m": f"{axis}_mm" for axis in "xyz"}),
+        "no wrist is further than .* mm from the camera; for metres name the columns 'x_m', 'y_m', 'z_m'",
+    ),
+    "OpenGL's camera": (
+        lambda t: t.assign(z_m=-t["z_m"], y_m=-t["y_m"]),
+        "every wrist is behind the camera .* OpenCV's, z forward and y down",
+    ),
     "two rotations": (change("beta_rad", 0.9), "its rotations differ by .* rad"),
     "no number": (change("x_m", "left"), "line 3: 'x_m' must be a number"),
     "nothing": (change("q3_rad", np.nan), "line 3: 'q3_rad' must be a number .*with lost 1"),
@@ -245,7 +253,7 @@ def test_wrong_files_options_and_datasets_are_one_line(
 ) -> None:
     for arguments, words in (
         ((tmp_path / "none.csv", "--name", "x"), "no such file"),
-        ((truth, "--name", "a b"), "'name'"),
+        ((truth, "--name", "a b"), "--name: must be letters, digits"),
         ((truth, "--name", "x", "--time-ms", "took"), "has no column 'took'"),
     ):
         surgbench("score", dataset.path, *arguments, "--out", tmp_path / "runs", expect=2)

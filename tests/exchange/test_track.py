@@ -104,6 +104,32 @@ def test_who_says_nothing_else_gets_the_poses_of_a_video(tmp_path: Path) -> None
 
 
 @pytest.mark.slow
+def test_two_instruments_in_one_mask_are_tracked_as_a_pair(
+    masks: list[np.ndarray], camera: Path, tmp_path: Path
+) -> None:
+    pairs = [mask | np.roll(mask[:, ::-1], 2, axis=1) for mask in masks]
+    source = write_masks(tmp_path / "masks", pairs)
+    track(source, tmp_path / "poses.csv", "--camera", camera, "--no-video", "--arms", "both")
+    poses = pd.read_csv(tmp_path / "poses.csv")
+    assert poses.groupby("arm")["frame"].apply(list).to_dict() == {
+        arm: list(range(FRAMES)) for arm in ("left", "right")
+    }
+
+
+def test_what_is_interrupted_leaves_nothing_and_says_so(
+    camera: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("surgbench.cli.tracking.Tracking.read", interrupted)
+    before = sorted(tmp_path.iterdir())
+    surgbench("track", tmp_path, "--camera", camera, "--out", tmp_path / "poses.csv", expect=130)
+    assert capsys.readouterr().err == "surgbench: interrupted; the same command again begins anew, nothing is left\n"
+    assert sorted(tmp_path.iterdir()) == before
+
+
+@pytest.mark.slow
 def test_what_is_wrong_is_one_line_and_leaves_nothing(
     masks: list[np.ndarray], camera: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -64,6 +64,12 @@ def test_polygons_cover_their_pixels() -> None:
     assert np.array_equal(mask, expected)
 
 
+@pytest.mark.parametrize("counts", [[2**62] * 4 + [48], [2**70], [None], [[1], 2]])
+def test_runs_that_are_no_lengths_are_refused(counts: list[int]) -> None:
+    with pytest.raises(ValueError, match=r"an RLE|inhomogeneous"):
+        decode_rle(counts, 6, 8)
+
+
 def test_polygons_are_as_large_as_their_area() -> None:
     """A disc's, that leaves the picture on the right; pixels count by their centres."""
     turn = np.linspace(0, 2 * np.pi, 400, endpoint=False)

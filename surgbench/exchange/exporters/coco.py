@@ -115,6 +115,9 @@ def _write_dataset(dataset: InstrumentDataset, folder: Path, progress: Callable[
                     head = {"id": len(annotations) + 1, "image_id": image_id, "category_id": category, "iscrowd": 0}
                     annotations.append({**head, **shape, **_keypoints(seen), "arm": kind})
         progress(sequence.frames * len(sequence.arms))
+    cameras = {sequence.camera for sequence in dataset.sequences}
+    if len(cameras) == 1:  # COCO has no place for it; so the importer finds it
+        (folder / "camera.json").write_text(cameras.pop().model_dump_json(indent=1) + "\n", encoding="utf-8")
     info = {"description": f"{dataset.name}: {ABOUT}", "version": dataset.hash}
     named = [
         {"id": number, "name": name, "supercategory": "instrument", "keypoints": names, "skeleton": []}

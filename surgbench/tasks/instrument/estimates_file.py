@@ -95,6 +95,7 @@ def read_estimates(
     groups = _groups(path, places, lines, dataset, frames)
     table = PoseTable(str(path), header, _numbers(rows, len(header)), lines)
     states = table.states()
+    table.check_place(states[:, 3:6])
     times = None if time_column is None else table.numbers(time_column)
     if times is not None and (times < 0).any():
         line = lines[int(np.argmax(times < 0))]
