@@ -181,10 +181,16 @@ def drawn_outside(
         inwards = inwards_of(place.camera, place.arm)
         way = way_past_m(place.instrument, states[:, index], inwards, links, share).clip(min=0.0)
         back[:, index] = np.minimum(way, way_out_m(place, states[:, index])) * _outside_course(len(states), rng)
-    moved = states.copy()
-    moved[..., POSITION] -= back[..., None] * look_at_rotation(states[..., ANGLES])[..., 2]
+    moved = drawn_back_by(states, back)
     apart = clearance_m(places[0].instrument, moved[:, 0], moved[:, 1])
     return back if apart.min() >= places[0].workspace.clearance_m else None
+
+
+def drawn_back_by(states: FloatArray, back_m: FloatArray) -> FloatArray:
+    """States ``(..., 9)`` drawn back along their shafts by ``(...)`` metres."""
+    moved = states.copy()
+    moved[..., POSITION] -= back_m[..., None] * look_at_rotation(states[..., ANGLES])[..., 2]
+    return moved
 
 
 def _outside_course(frames: int, rng: np.random.Generator) -> FloatArray:

@@ -15,6 +15,9 @@ from surgbench.generators.render import MaskRenderer
 from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument
 
+# Distances of one surface differ so little: the film's crop moves rays by a rounding error.
+ROUNDING = 1.0 + 1e-5
+
 
 @dataclass(frozen=True)
 class Seen:
@@ -103,7 +106,7 @@ class ArmsRenderer:
         tools = np.zeros_like(alone)
         for tool, arm, state in zip(tools, arms, states, strict=True):
             own = self._tool.distance(state)
-            tool[:] = (own > 0) & (own <= arm)
+            tool[:] = (own > 0) & (own <= arm * ROUNDING)
         see = self._lens.see
         before = None
         if third is not None:
