@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -12,6 +13,7 @@ from surgbench.camera import Camera
 from surgbench.camera.plausible import implausible
 from surgbench.config import SUFFIXES, Finite, NotNegative, Positive, Section, locate, parse_model, read_yaml
 from surgbench.errors import ConfigError, unknown_name
+from surgbench.generation import with_settings
 from surgbench.generators.sections import (
     Absences,
     Auxiliary,
@@ -361,6 +363,7 @@ def load_preset(
     frames: int | None = None,
     seed: int | None = None,
     corruption: str | None = None,
+    settings: Mapping[str, Any] | None = None,
 ) -> Preset:
     """Load a preset and put the given options over it.
 
@@ -370,6 +373,7 @@ def load_preset(
         frames: Overrides the file's.
         seed: Overrides the file's.
         corruption: Level that overrides the file's settings.
+        settings: Keys of the preset and their values, which override the file's.
 
     Raises:
         NotFoundError: No built-in preset has this name.
@@ -384,6 +388,8 @@ def load_preset(
     preset = _parse({key: value for key, value in content.items() if key not in ("task", "generator")}, str(path))
     if "/" in preset.instrument or preset.instrument.lower().endswith(SUFFIXES):
         preset = preset.model_copy(update={"instrument": str(path.parent.absolute() / preset.instrument)})
+    if settings:
+        preset = _with_settings(preset, settings)
     if not given:
         return preset
     names = {"pairs": "--sequences"}
@@ -394,3 +400,10 @@ def load_preset(
         except ConfigError as error:
             raise ConfigError(str(error).replace(f"'{key}': ", "", 1)) from None
     return _parse({**preset.model_dump(mode="json"), **given}, str(path))
+
+
+def _with_settings(preset: Preset, settings: Mapping[str, Any]) -> Preset:
+    content = with_settings(preset.model_dump(mode="json"), settings)
+    if "corruption.level" not in settings and any(key.startswith("corruption.") for key in settings):
+        content["corruption"]["level"] = "custom"
+    return _parse(content, "--set")
