@@ -65,7 +65,7 @@ def test_what_mitsuba_shows_of_each_arm_is_what_the_evaluator_does(
     left: FloatArray, right: FloatArray, near: bool
 ) -> None:
     if near:  # so that they cross, whatever else
-        right[3:6] = left[3:6] + [0.004, -0.003, 0.02]
+        right[3:6] = left[3:6] + np.array([0.004, -0.003, 0.02])
     states = np.stack([left, right])
     renderer, evaluator = _renderers()
     seen = renderer.seen(states)
@@ -111,12 +111,12 @@ def test_a_pixel_of_both_noisy_masks_goes_to_the_arm_that_it_is_of() -> None:
 @pytest.mark.slow
 def test_a_dataset_tells_what_is_seen_of_each_arm(made: Path, tmp_path: Path) -> None:
     assert validate(made) == []
-    dataset = open_as(made, InstrumentDataset)
+    dataset = open_as(InstrumentDataset, made)
     sequence = dataset.sequences[0]
     evaluator = VisibilityEvaluator([DRIVER] * 2, SMALL)
-    states = np.concatenate([sequence.states(arm) for arm in ARMS], axis=1)  # type: ignore[list-item]
-    told = {arm: sequence.visibility(arm) for arm in ARMS}
-    swapped = told["left"]["swapped"]  # type: ignore[index]
+    states = np.concatenate([state for arm in ARMS if (state := sequence.states(arm)) is not None], axis=1)
+    told = {arm: shares for arm in ARMS if (shares := sequence.visibility(arm)) is not None}
+    swapped = told["left"]["swapped"]
     assert 0 < swapped.sum() < 6
     for frame in range(sequence.frames):
         clean = np.stack([sequence.clean_mask(f"visible_{arm}", frame) for arm in ARMS])
@@ -125,7 +125,7 @@ def test_a_dataset_tells_what_is_seen_of_each_arm(made: Path, tmp_path: Path) ->
         assert np.array_equal(seen, clean[::-1] if swapped[frame] else clean)
         for arm, mask in zip(ARMS, clean, strict=True):
             share = mask.sum() / sequence.clean_mask(arm, frame).sum()
-            assert told[arm]["visible"][frame] == pytest.approx(share)  # type: ignore[index]
+            assert told[arm]["visible"][frame] == pytest.approx(share)
 
 
 @pytest.mark.slow
@@ -133,7 +133,8 @@ def test_masks_that_older_presets_have_stay_what_they_are(made: Path, tmp_path: 
     plain = TOLD.model_copy(update={"instances": None})
     assert generate(plan_dataset(plain), tmp_path / "plain")
     one, other = (json.loads((folder / "dataset.json").read_text()) for folder in (made, tmp_path / "plain"))
-    assert "visibility" not in other["sequences"][0] and "instances" not in other["configuration"]["preset"]
+    assert "visibility" not in other["sequences"][0]
+    assert "instances" not in other["configuration"]["preset"]
     assert "occluders" not in other["configuration"]["preset"]
     assert other["files"].items() <= one["files"].items()
 
@@ -141,7 +142,7 @@ def test_masks_that_older_presets_have_stay_what_they_are(made: Path, tmp_path: 
 @pytest.mark.slow
 def test_validation_doubts_what_is_no_share(made: Path, tmp_path: Path) -> None:
     bad = Path(shutil.copytree(made, tmp_path / "bad"))
-    sequence = open_as(made, InstrumentDataset).sequences[0]
+    sequence = open_as(InstrumentDataset, made).sequences[0]
     columns = {f"{arm}_{name}": v.copy() for arm in ARMS for name, v in (sequence.visibility(arm) or {}).items()}
     columns["left_visible"][2] = 1.5
     columns["right_swapped"][3] = 0.5
