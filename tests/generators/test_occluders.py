@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from surgbench.generators.occluders import _ends_px, drawn_back_by, drawn_outside, put_in_the_way
+from surgbench.generators.occluders import InTheWay, _ends_px, drawn_back_by, drawn_outside, put_in_the_way
 from surgbench.generators.place import Place, clearance_m
 from surgbench.generators.presets import PAPER_CAMERA, Preset, load_preset
 from surgbench.generators.sections import Occluders
+from surgbench.generators.seen_tips import seen_tips
 from surgbench.generators.trajectories import PairMotion, make_motion, make_pair
 from surgbench.geometry import FloatArray
 from surgbench.instrument import load_instrument
@@ -97,6 +98,9 @@ def test_arms_cross_clear_of_each_other_and_hide_each_others_jaws(name: str) -> 
     assert preset.motion.crossing is not None
     assert overlapping.mean() == pytest.approx(preset.motion.crossing.share, abs=0.25)
     assert hidden.any(axis=1).sum() >= 10  # of 130 frames looked at
+    tips = seen_tips(motion.states[::2], DRIVER, preset.camera, InTheWay())
+    assert tips[~overlapping].all()
+    assert tips[hidden].mean() < 0.3
     # The arm behind is hidden by one that is nearer, not by one that it runs into.
     assert np.linalg.norm(np.diff(motion.states[..., POSITION], axis=0), axis=-1).max() < 0.003
 
