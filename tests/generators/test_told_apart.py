@@ -19,6 +19,7 @@ from surgbench.dataset.validate import validate
 from surgbench.errors import ConfigError
 from surgbench.generators.generate import generate, plan_dataset
 from surgbench.generators.instances import swapped_frames, told_apart
+from surgbench.generators.place import clearance_m
 from surgbench.generators.presets import CORRUPTION_LEVELS, Preset, load_preset
 from surgbench.generators.sections import Instances, Occluders
 from surgbench.generators.visible import ArmsRenderer
@@ -26,10 +27,12 @@ from surgbench.geometry import FloatArray
 from surgbench.instrument import load_instrument
 from surgbench.randomness import generator
 from surgbench.silhouette import VisibilityEvaluator
+from surgbench.state import POSITION
 from surgbench.tasks.instrument.dataset import InstrumentDataset
 from surgbench.tasks.instrument.format import ARMS, visibility_path
 
 DRIVER = load_instrument("large_needle_driver")
+BEHIND_M = np.array([0.004, -0.003, 0.02])
 SMALL = Camera(width=175, height=123, fx=226.5, fy=224.0, cx=73.2, cy=59.3)
 TOLD = Preset(
     name="told",
@@ -59,13 +62,16 @@ arm_states = st.tuples(
 
 
 @pytest.mark.slow
-@settings(max_examples=80)
+@settings(max_examples=60)
 @given(left=arm_states, right=arm_states, near=st.booleans())
 def test_what_mitsuba_shows_of_each_arm_is_what_the_evaluator_does(
     left: FloatArray, right: FloatArray, near: bool
 ) -> None:
     if near:  # so that they cross, whatever else
-        right[3:6] = left[3:6] + np.array([0.004, -0.003, 0.02])
+        right = right.copy()
+        right[POSITION] = left[POSITION] + BEHIND_M
+    # Of arms that run into each other, faces may coincide, of which either may be nearer by rounding.
+    assume(clearance_m(DRIVER, left, right) >= 0.005)
     states = np.stack([left, right])
     renderer, evaluator = _renderers()
     seen = renderer.seen(states)
