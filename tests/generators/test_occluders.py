@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from surgbench.generators.occluders import InTheWay, _ends_px, drawn_back_by, drawn_outside, put_in_the_way
-from surgbench.generators.place import Place, clearance_m
+from surgbench.generators.place import BoolArray, Place, clearance_m
 from surgbench.generators.presets import PAPER_CAMERA, Preset, load_preset
 from surgbench.generators.sections import Occluders
 from surgbench.generators.seen_tips import seen_tips
@@ -115,7 +115,7 @@ def test_what_is_outside_does_not_change_how_arms_move_otherwise() -> None:
     assert not np.array_equal(plain.states[..., POSITION], drawn.states[..., POSITION])
 
 
-def crossed(motion: PairMotion, preset: Preset) -> tuple[FloatArray, FloatArray]:
+def crossed(motion: PairMotion, preset: Preset) -> tuple[BoolArray, BoolArray]:
     """Of every second frame, whether the arms overlap, and whether at most a tenth of an arm's jaws is seen."""
     evaluator = VisibilityEvaluator([DRIVER] * 2, preset.camera)
     body = type(DRIVER)(DRIVER.spec, {name: mesh for name, mesh in DRIVER.meshes.items() if name != "shaft"})
