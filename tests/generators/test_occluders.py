@@ -115,6 +115,17 @@ def test_what_is_outside_does_not_change_how_arms_move_otherwise() -> None:
     assert not np.array_equal(plain.states[..., POSITION], drawn.states[..., POSITION])
 
 
+@pytest.mark.slow
+def test_a_whole_arm_that_is_outside_is_where_its_joints_say() -> None:
+    settings = {"instances.swap_rate": 0.0, "occluders.outside": 0.5}
+    motion = make_motion(load_preset("paper-rcm", settings=settings), DRIVER, "nominal", 150, generator(test=1))
+    for index, own in enumerate(motion.arms):
+        assert own is not None
+        wrist = own.T_cam_base @ own.arm.forward(own.arm_joints)
+        assert np.abs(wrist[:, :3, 3] - motion.states[:, index, POSITION]).max() < 1e-9
+        assert own.arm.within_limits(own.arm_joints).all()
+
+
 def crossed(motion: PairMotion, preset: Preset) -> tuple[BoolArray, BoolArray]:
     """Of every second frame, whether the arms overlap, and whether at most a tenth of an arm's jaws is seen."""
     evaluator = VisibilityEvaluator([DRIVER] * 2, preset.camera)
