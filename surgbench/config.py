@@ -14,6 +14,7 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from surgbench.errors import ConfigError, NotFoundError, unknown_name
+from surgbench.syntax import parse_yaml
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -56,6 +57,11 @@ def packaged_names(folder: str) -> list[str]:
     return sorted(entry.name.removesuffix(".yaml") for entry in entries if entry.name.endswith(".yaml"))
 
 
+def is_file(name_or_path: str | Path) -> bool:
+    """Whether a reference means a user's own file: any ``Path``, or a string with a slash or ending in ``.yaml``."""
+    return isinstance(name_or_path, Path) or "/" in name_or_path or name_or_path.lower().endswith(SUFFIXES)
+
+
 def locate(folder: str, what: str, name_or_path: str | Path) -> Path:
     """The file behind a packaged name, or a user's own file.
 
@@ -68,12 +74,12 @@ def locate(folder: str, what: str, name_or_path: str | Path) -> Path:
     Raises:
         NotFoundError: No packaged file has this name; the message offers the nearest.
     """
-    if isinstance(name_or_path, Path) or "/" in name_or_path or name_or_path.lower().endswith(SUFFIXES):
+    if is_file(name_or_path):
         return Path(name_or_path)
-    names = packaged_names(folder)
-    if name_or_path not in names:
-        raise NotFoundError(unknown_name(what, name_or_path, names) + "; or a FILE.yaml")
-    return Path(str(resources.files(f"surgbench.configs.{folder}") / f"{name_or_path}.yaml"))
+    name, names = str(name_or_path), packaged_names(folder)
+    if name not in names:
+        raise NotFoundError(unknown_name(what, name, names) + "; or a FILE.yaml")
+    return Path(str(resources.files(f"surgbench.configs.{folder}") / f"{name}.yaml"))
 
 
 def read_yaml(path: Path, what: str) -> dict[str, Any]:
@@ -87,10 +93,10 @@ def read_yaml(path: Path, what: str) -> dict[str, Any]:
         ConfigError: It is missing, not YAML, or not a mapping; one line.
     """
     try:
-        content = yaml.load(path.read_text(encoding="utf-8"), Loader=_UniqueKeyLoader)  # a safe loader
+        content = parse_value(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise ConfigError(f"{path}: {what} file cannot be read ({error.strerror})") from None
-    except (UnicodeDecodeError, yaml.YAMLError) as error:
+    except ValueError as error:
         raise ConfigError(f"{path}: not valid YAML ({' '.join(str(error).split())})") from None
     if not isinstance(content, dict):
         raise ConfigError(f"{path}: a {what} file must be a mapping of keys")
@@ -103,10 +109,7 @@ def parse_value(text: str) -> Any:
     Raises:
         ValueError: It is none.
     """
-    try:
-        return yaml.load(text, Loader=_UniqueKeyLoader)
-    except yaml.YAMLError as error:
-        raise ValueError(str(error)) from None
+    return parse_yaml(text, _UniqueKeyLoader)
 
 
 def parse_model(model: type[Model], content: Any, source: str) -> Model:

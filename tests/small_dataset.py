@@ -45,9 +45,18 @@ def states_of(arm: str, frames: int = FRAMES, sequence: int = 0) -> FloatArray:
 
 
 def make_pair(
-    root: Path, *, truth: bool = True, frames: int = FRAMES, sequences: int = 2, name: str = "pairs"
+    root: Path,
+    *,
+    truth: bool = True,
+    frames: int = FRAMES,
+    sequences: int = 2,
+    name: str = "pairs",
+    steps: tuple[int, ...] | None = None,
 ) -> InstrumentDataset:
-    """Pairs whose masks are the silhouettes of their states, uncorrupted, with tips and readings."""
+    """Pairs whose masks are the silhouettes of their states, uncorrupted, with tips and readings.
+
+    Frames follow one another, or are those of ``steps``, with gaps between them.
+    """
     driver = load_instrument(DRIVER)
     save_instrument(driver, root / f"instruments/{DRIVER}")
     alone, pair = SilhouetteEvaluator([driver], CAMERA), SilhouetteEvaluator([driver, driver], CAMERA)
@@ -62,7 +71,7 @@ def make_pair(
                 _put(root / observed_path(id_, kind, frame), encode_mask(mask))
                 if truth:
                     _put(root / clean_mask_path(id_, kind, frame), encode_mask(mask))
-        columns: dict[str, FloatArray] = {"timestamp_s": DT_S * np.arange(frames, dtype=np.float64)}
+        columns: dict[str, FloatArray] = {"timestamp_s": DT_S * np.array(steps or range(frames), dtype=np.float64)}
         for arm in ARMS:
             tips = CAMERA.project(driver.tips_cam(states[arm])).reshape(-1, 4)
             columns |= dict(zip(arm_columns(arm, KEYPOINT_COLUMNS), tips.T, strict=True))

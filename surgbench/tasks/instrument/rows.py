@@ -31,7 +31,7 @@ RECORDING_COLUMNS = (
     *number(*(f"{error}{suffix}" for error in REFERENCE_ERRORS for suffix in ("", "_std", "_sem"))),
 )
 
-JUDGED_COLUMNS = number(*JUDGED)
+FURTHER_COLUMNS = (*RECORDING_COLUMNS, *number(*JUDGED))
 
 
 def instrument_row(head: Row, records: list[InstrumentRecord]) -> Row:

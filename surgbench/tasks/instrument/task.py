@@ -102,9 +102,9 @@ class InstrumentTask(Task):
     @property
     def further_columns(self) -> tuple[Field, ...]:
         """What recordings have in place of truth, and what the readings of their arms say."""
-        from surgbench.tasks.instrument.rows import JUDGED_COLUMNS, RECORDING_COLUMNS
+        from surgbench.tasks.instrument.rows import FURTHER_COLUMNS
 
-        return (*RECORDING_COLUMNS, *JUDGED_COLUMNS)
+        return FURTHER_COLUMNS
 
     @property
     def shown(self) -> tuple[Column, ...]:
