@@ -165,6 +165,7 @@ def _generate(request: DatasetRequest, part: PartRequest | None, out: Path, jobs
             request.seed,
             request.corruption,
             part=None if part is None else (part.sequences, part.frames),
+            set=request.set,
         ),
     )
     try:

@@ -24,6 +24,7 @@ from surgbench.tasks.instrument.dataset import (
     labelled_columns,
     observation_columns,
     state_columns,
+    visibility_columns,
 )
 from surgbench.tasks.instrument.exported import dataset_of
 from surgbench.tasks.instrument.format import (
@@ -34,6 +35,7 @@ from surgbench.tasks.instrument.format import (
     poses_path,
     states_path,
     view_folder,
+    visibility_path,
 )
 
 CONFORMS_TO = "http://mlcommons.org/croissant/1.0"
@@ -168,6 +170,8 @@ def _tables_of(sequence: Sequence) -> list[tuple[str, str, list[str]]]:
     tables = [("observations", observations_path(entry.id), observation_columns(entry))]
     if entry.truth:
         tables.append(("states", states_path(entry.id), state_columns(entry)))
+    if entry.visibility:
+        tables.append(("visibility", visibility_path(entry.id), visibility_columns(entry)))
     if entry.labels:
         tables.append(("labels", labels_path(entry.id), labelled_columns(entry)))
     for name, view in entry.auxiliary.items():
