@@ -142,7 +142,8 @@ class Pair:
     def steps(self, start: FloatArray, values: FloatArray) -> FloatArray:
         """How many of the longest steps the ways from ``(2, k)`` to ``(n, 2, k)`` are, ``(n,)``."""
         one, other = (arm.steps(start[index], values[:, index]) for index, arm in enumerate(self.arms))
-        return np.maximum(one, other)
+        longer: FloatArray = np.maximum(one, other)
+        return longer
 
     def search(
         self, wrong_m: Callable[[FloatArray], FloatArray], start: FloatArray | None, rng: np.random.Generator
@@ -262,7 +263,8 @@ def crossing_path(
             failures += 1
             continue
         course.go(crossed)
-        stay = int(rng.integers(*settings.stay_frames, endpoint=True))
+        fewest, most = settings.stay_frames
+        stay = int(rng.integers(fewest, most, endpoint=True))
         _stay(pair, course, stay, partial(pair.hidden_m, behind=behind, full=full), rng)
         apart = pair.search(pair.overlap_m, course.here, rng)
         if apart is None or not course.reaches(apart[None])[0]:

@@ -144,7 +144,8 @@ class FrameWriter:
 
     def _corrupted(self, mask: Mask, sequence: str, frame: int, kind: str) -> Mask:
         rng = generator(dataset=self.seed, sequence=sequence, frame=frame, kind=kind, purpose="corruption")
-        return corrupt(mask, self.settings, rng)
+        noisy: Mask = corrupt(mask, self.settings, rng)
+        return noisy
 
     def _files(
         self, sequence: str, frame: int, clean: dict[MaskKind, Mask], noisy: dict[MaskKind, Mask]

@@ -326,7 +326,8 @@ def _start_worker(plan: Plan, out: Path, stop: ctypes.c_bool) -> None:
 
 def _render_chunk(chunk: Chunk) -> int:
     assert _worker is not None
-    return _worker.render(chunk)
+    frames: int = _worker.render(chunk)
+    return frames
 
 
 def _manifest(plan: Plan, out: Path, sequences: list[SequenceEntry]) -> InstrumentManifest:

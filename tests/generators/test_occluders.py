@@ -24,7 +24,8 @@ FRAMES = 300
 
 @pytest.fixture(scope="module")
 def states() -> FloatArray:
-    return make_pair(load_preset("paper-wide"), DRIVER, "nominal", FRAMES, generator(test="occluders"))
+    pair: FloatArray = make_pair(load_preset("paper-wide"), DRIVER, "nominal", FRAMES, generator(test="occluders"))
+    return pair
 
 
 @pytest.mark.slow
