@@ -5,11 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from surgbench.camera import Camera
 from surgbench.dataset import tables
 from surgbench.generators.auxiliary import ViewTables, make_views
+from surgbench.generators.instances import swapped_frames
 from surgbench.generators.observations import observe_arm, observe_free_tool, observe_joints, observe_keypoints
+from surgbench.generators.occluders import InTheWay, put_in_the_way
 from surgbench.generators.presets import Preset
 from surgbench.generators.trajectories import make_motion
 from surgbench.geometry import FloatArray, rotation_vector
@@ -26,6 +29,19 @@ from surgbench.tasks.instrument.tables import (
 
 
 @dataclass(frozen=True)
+class ToldApart:
+    """How the arms of a sequence are told apart.
+
+    Attributes:
+        swapped: ``(frames,)`` where the observed masks of the arms are exchanged.
+        in_the_way: What hides them besides each other.
+    """
+
+    swapped: NDArray[np.bool_]
+    in_the_way: InTheWay
+
+
+@dataclass(frozen=True)
 class SequenceTables:
     """Tables of a sequence.
 
@@ -35,6 +51,7 @@ class SequenceTables:
         truth: Columns of ``states.parquet``.
         T_cam_base: Nominal place of each arm's base, ``(4, 4)`` row by row.
         views: Those of the auxiliary views.
+        apart: Of the whole sequence; ``None`` where the preset tells no arms apart.
     """
 
     states: FloatArray
@@ -42,13 +59,14 @@ class SequenceTables:
     truth: dict[str, FloatArray]
     T_cam_base: dict[Arm, tuple[float, ...]]
     views: dict[str, ViewTables]
+    apart: ToldApart | None = None
 
     def first(self, frames: int) -> SequenceTables:
         """The same of the first frames alone."""
         observed = {name: values[:frames] for name, values in self.observed.items()}
         truth = {name: values[:frames] for name, values in self.truth.items()}
         views = {name: view.first(frames) for name, view in self.views.items()}
-        return SequenceTables(self.states[:frames], observed, truth, self.T_cam_base, views)
+        return SequenceTables(self.states[:frames], observed, truth, self.T_cam_base, views, self.apart)
 
 
 def make_tables(preset: Preset, entry: SequenceEntry, instrument: Instrument, camera: Camera) -> SequenceTables:
@@ -91,7 +109,12 @@ def make_tables(preset: Preset, entry: SequenceEntry, instrument: Instrument, ca
         bases[arm] = tuple(tool.T_cam_base.ravel().tolist())
         truth |= _columns(arm, STATE_COLUMNS, own)
     views = make_views(preset, entry.id, motion.states, instrument)
-    return SequenceTables(motion.states, observed, truth, bases, views).first(entry.frames)
+    apart = None
+    if preset.instances is not None:
+        swapped = swapped_frames(preset.instances, frames, generator(**axes, purpose="swaps"))
+        hiding = put_in_the_way(preset.occluders, motion.states, instrument, camera, entry.dt_s, **axes)
+        apart = ToldApart(swapped, hiding)
+    return SequenceTables(motion.states, observed, truth, bases, views, apart).first(entry.frames)
 
 
 def _columns(arm: Arm, names: tuple[str, ...], values: FloatArray) -> dict[str, FloatArray]:
