@@ -25,15 +25,15 @@ INSTRUMENT_COLUMNS = (
     *count("lost_frames"),
     *number(*SHARES),
 )
+# Of two arms alone.
+PAIR_COLUMNS = text("masks")
 # Of recordings alone: rows on datasets with truth have none of these.
 RECORDING_COLUMNS = (
     *count("absent_frames"),
     *number(*(f"{error}{suffix}" for error in REFERENCE_ERRORS for suffix in ("", "_std", "_sem"))),
 )
 
-JUDGED_COLUMNS = number(*JUDGED)
-# Of two arms alone.
-PAIR_COLUMNS = text("masks")
+FURTHER_COLUMNS = (*RECORDING_COLUMNS, *number(*JUDGED), *PAIR_COLUMNS)
 
 
 def instrument_row(head: Row, records: list[InstrumentRecord]) -> Row:

@@ -102,9 +102,9 @@ class InstrumentTask(Task):
     @property
     def further_columns(self) -> tuple[Field, ...]:
         """What recordings have in place of truth, what the readings of their arms say, and what pairs have."""
-        from surgbench.tasks.instrument.rows import JUDGED_COLUMNS, PAIR_COLUMNS, RECORDING_COLUMNS
+        from surgbench.tasks.instrument.rows import FURTHER_COLUMNS
 
-        return (*RECORDING_COLUMNS, *JUDGED_COLUMNS, *PAIR_COLUMNS)
+        return FURTHER_COLUMNS
 
     @property
     def shown(self) -> tuple[Column, ...]:
