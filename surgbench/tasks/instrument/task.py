@@ -35,7 +35,18 @@ class InstrumentTask(Task):
     default: ClassVar[bool] = True
     made_by: ClassVar[tuple[str, ...]] = tuple(
         f"{__package__}.{name}"
-        for name in ("auxiliary", "dataset", "execute", "judge", "references", "tables", "tips", "units", "worker")
+        for name in [
+            "auxiliary",
+            "dataset",
+            "execute",
+            "judge",
+            "pairs",
+            "references",
+            "tables",
+            "tips",
+            "units",
+            "worker",
+        ]
     )
     first_check: ClassVar[str] = "plain sequence"
     may_refuse: ClassVar[tuple[str, ...]] = ("readings", "kinematics", "two arms")
