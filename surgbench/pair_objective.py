@@ -22,8 +22,8 @@ class PairObjective(Objective):
     own mask, and the loss is the sum over the arms; else it is that of both arms' silhouette and the one mask. Eq. 8
     counts for each arm in both cases.
 
-    Segmenters confuse arms: where the state that a frame's search begins with is far nearer to the masks if they are
-    exchanged, they are.
+    Masks that are the same for both arms tell nothing apart, and are none. Segmenters confuse arms: where the state
+    that a frame's search begins with is far nearer to the masks if they are exchanged, they are.
 
     Args:
         scene: Two instruments, and cameras.
@@ -68,7 +68,7 @@ class PairObjective(Objective):
         self.turned, self._references = False, None
         given = [view.instance_masks for view in observation.views]
         references = [tuple(Reference(mask) for mask in masks) for masks in given if masks is not None]
-        if len(references) < len(given):
+        if len(references) < len(given) or any(np.array_equal(*(one.mask for one in pair)) for pair in references):
             return
         self._references = references
         straight = float(self._arms(observation.start[None])[0].sum())

@@ -49,7 +49,7 @@ class InstrumentTask(Task):
         ]
     )
     first_check: ClassVar[str] = "plain sequence"
-    may_refuse: ClassVar[tuple[str, ...]] = ("readings", "kinematics", "two arms")
+    may_refuse: ClassVar[tuple[str, ...]] = ("readings", "kinematics", "two arms", "masks of arms", "crossing arms")
     aids: ClassVar[tuple[str, ...]] = ("kinematics",)
 
     @property
