@@ -18,9 +18,8 @@ TURNED_SHARE = 0.5
 class PairObjective(Objective):
     """Scores candidate states of two arms.
 
-    Where all views of a frame have a mask for each arm, eq. 6 is taken for each arm, of what is seen of it and of its
-    own mask, and the loss is the sum over the arms; else it is that of both arms' silhouette and the one mask. Eq. 8
-    counts for each arm in both cases.
+    A call is eq. 15: both arms' silhouette and the one mask, and eq. 8 of each arm. Where all views of a frame have a
+    mask for each arm, too, :meth:`arms` has a loss for each: eq. 6 of what is seen of it and its own mask, and its eq. 8.
 
     Masks that are the same for both arms tell nothing apart, and are none. Segmenters confuse arms: where the state
     that a frame's search begins with is far nearer to the masks if they are exchanged, they are.
@@ -68,7 +67,7 @@ class PairObjective(Objective):
         self.turned, self._references = False, None
         given = [view.instance_masks for view in observation.views]
         references = [tuple(Reference(mask) for mask in masks) for masks in given if masks is not None]
-        if len(references) < len(given) or any(np.array_equal(*(one.mask for one in pair)) for pair in references):
+        if len(references) < len(given) or any(np.array_equal(left.mask, right.mask) for left, right in references):
             return
         self._references = references
         straight = float(self._arms(observation.start[None])[0].sum())
@@ -92,17 +91,6 @@ class PairObjective(Objective):
             raise SurgbenchError("there is no mask for each arm; use a dataset that has them, with --masks instances")
         return self._references[view]
 
-    def mismatch(self, states: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """The rendering loss (eq. 6) of ``(n, 18)`` states, pixels, and their overlap with the masks.
-
-        Raises:
-            RuntimeError: No frame has been observed.
-        """
-        if self._references is None:
-            return super().mismatch(states)
-        loss, common, union = self._arms(states)
-        return loss.sum(axis=1), _share(common.sum(axis=1), union.sum(axis=1))
-
     def arms(self, states: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Losses (eq. 5) and overlaps of each arm of candidates.
 
@@ -110,8 +98,7 @@ class PairObjective(Objective):
             states: ``(n, 18)``.
 
         Returns:
-            ``(n, 2)`` losses in pixels, whose sums are those of a call, and ``(n, 2)`` intersection over union of what
-            is seen of an arm and its mask.
+            ``(n, 2)`` losses in pixels, and ``(n, 2)`` intersection over union of what is seen of an arm and its mask.
 
         Raises:
             SurgbenchError: The frame has no masks of single arms.

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import Annotated, Protocol
+from collections.abc import Sequence
+from typing import Annotated, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +37,27 @@ class Search(Protocol):
         ...
 
 
+class Separate:
+    """A search for each arm, told its own losses.
+
+    Args:
+        arms: The searches, each of vectors ``(n, 9)``.
+    """
+
+    def __init__(self, arms: Sequence[Search]) -> None:
+        self._arms = arms
+
+    def ask(self) -> FloatArray:
+        """``(n, 9 * arms)``."""
+        return np.concatenate([arm.ask() for arm in self._arms], axis=1)
+
+    def tell(self, samples: FloatArray, losses: NDArray[np.float64]) -> None:
+        """Learn from ``(n, arms)`` losses."""
+        parts = np.moveaxis(split_arms(samples), 1, 0)
+        for arm, own, loss in zip(self._arms, parts, losses.T, strict=True):
+            arm.tell(np.ascontiguousarray(own), loss)
+
+
 class SamplingConfig(Section):
     """Options; the defaults are those of the released code of Hu et al. 2026."""
 
@@ -47,17 +69,21 @@ class SamplingConfig(Section):
     ] = 0.1
     jaw_step_rad: Annotated[float, Field(gt=0, description="natural step of q3, without readings")] = 0.1
     lost_iou: Annotated[float, Field(ge=0, le=1, description="an estimate that overlaps less is lost")] = 0.5
+    dual: Annotated[
+        Literal["auto", "joint", "separate"],
+        Field(
+            description="two arms: one search with one ranking on the mask of both (eq. 15), or one for each arm "
+            "against its own mask; auto: separate where there are such masks"
+        ),
+    ] = "auto"
     loss: LossWeights = LossWeights(keypoint_form="released")
 
 
 class SamplingTracker(InstrumentTracker):
     """Samples candidate states around the start of each frame and keeps the best one ever sampled.
 
-    Two arms are scored as :class:`~surgbench.pair_objective.PairObjective` does. Where a tracker looks at them
-    separately, the best of each arm is kept.
+    Of two arms that are searched separately the best of each is kept.
     """
-
-    _separately = False
 
     def __init__(self, config: SamplingConfig) -> None:
         self._options = config
@@ -76,23 +102,27 @@ class SamplingTracker(InstrumentTracker):
 
     @abstractmethod
     def _search(self, start: FloatArray) -> Search:
-        """A search that begins at ``start``, ``(9 * arms,)`` of the search space."""
+        """A search that begins at ``start``, of the search space: ``(9 * arms,)``, or ``(9,)`` of one of two arms."""
 
     def step(self, observation: Observation) -> Estimate:
         """Search from ``observation.start``."""
         self._objective.observe(observation)
         space = self._spaces.of(observation)
-        search = self._search(space.encode(observation.start))
-        if self._separately and isinstance(self._objective, PairObjective):
-            best_state = self._best_of_each(search, space, self._objective, observation.start)
+        begin = space.encode(observation.start)
+        if isinstance(self._objective, PairObjective) and self._are_separate(self._objective):
+            separate = Separate([self._search(own) for own in split_arms(begin)])
+            best_state = self._best_of_each(separate, space, self._objective, observation.start)
         else:
-            best_state, best_iou = self._best_of_all(search, space, observation.start)
+            best_state, best_iou = self._best_of_all(self._search(begin), space, observation.start)
         if isinstance(self._objective, PairObjective):
             confidence, hidden = arm_confidence(self._objective, best_state)
             return Estimate(best_state, confidence, hidden | (confidence < self._options.lost_iou))
         # With an empty mask the best sample is one out of the picture, and two empty masks overlap perfectly.
         lost = best_iou < self._options.lost_iou or not observation.mask.any()
         return Estimate(best_state, confidence=float(best_iou), lost=bool(lost))
+
+    def _are_separate(self, objective: PairObjective) -> bool:
+        return self._options.dual == "separate" or (self._options.dual == "auto" and objective.tells_apart)
 
     def _best_of_all(self, search: Search, space: StateSpace, start: FloatArray) -> tuple[FloatArray, float]:
         """The best state ever sampled, ``(9 * arms,)``, and its overlap."""

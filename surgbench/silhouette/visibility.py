@@ -21,6 +21,11 @@ from surgbench.silhouette.evaluator import SilhouetteEvaluator
 from surgbench.silhouette.layout import lens
 from surgbench.state import STATE_SIZE, split_arms
 
+# A corner whose inverse depth is at least this share of the near plane's lies on it.
+CUT_SHARE = 1.0 - 1e-9
+# Facing is not told of faces whose plane passes the camera this near, as six times the volume that both span, m^3.
+EDGE_ON = 1e-13
+
 
 class _Arm:
     """The silhouette of one arm alone, and its body in one piece."""
@@ -272,7 +277,7 @@ def _is_aside(points: Any, seen: Any, face: Any, lens: Any, box: Any) -> Any:
         return False
     top, bottom = min(seen[i, 1], seen[j, 1], seen[k, 1]), max(seen[i, 1], seen[j, 1], seen[k, 1])
     left, right = min(seen[i, 0], seen[j, 0], seen[k, 0]), max(seen[i, 0], seen[j, 0], seen[k, 0])
-    return bottom < box[0] or top > box[1] or right < box[2] or left > box[3]
+    return bottom < box[0] - 1 or top > box[1] or right < box[2] - 1 or left > box[3]
 
 
 @compiled(inline="always", makes_arrays=True)
@@ -373,3 +378,85 @@ def _depth_of_nearest_edge(points: Any, faces: Any, lens: Any, u: float, v: floa
             if distance < nearest:
                 nearest, w = distance, p[2] + t * (q[2] - p[2])
     return 1.0 / w
+
+
+@compiled(makes_arrays=True)
+def nearness_bounds(points: Any, faces: Any, lens: Any, box: Any, tile_px: int, seen: Any, bounds: Any) -> None:
+    """Between which inverse depths the nearest surface lies at the pixels of each tile of a box that a solid covers.
+
+    Of each front face that reaches into a tile it is the range of its plane there, within that of its corners.
+
+    Args:
+        points: ``(V, 3)`` vertices in the camera frame, metres.
+        faces: ``(F, 3)``, counter-clockwise seen from outside.
+        lens: The camera.
+        box: First row, row after the last, first column and column after the last.
+        tile_px: Sides of the tiles, which begin at the box's first row and column.
+        seen: ``(V, 3)``, scratch.
+        bounds: ``(rows, columns, 2)``, filled for each tile of the box: the least and the greatest; 0 and inf where the
+            near plane cuts the solid.
+    """
+    for i in range(points.shape[0]):
+        _project(points[i, 0], points[i, 1], points[i, 2], lens, seen[i])
+    bounds[:, :, 0], bounds[:, :, 1] = np.inf, 0.0
+    # Where the near plane cuts it.
+    top, bottom, left, right = np.inf, -np.inf, np.inf, -np.inf
+    corners = np.empty((4, 3))
+    for f in range(faces.shape[0]):
+        i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
+        if min(points[i, 2], points[j, 2], points[k, 2]) > lens.near:
+            if _is_aside(points, seen, faces[f], lens, box):
+                continue
+            count = 3
+            corners[0], corners[1], corners[2] = seen[i], seen[j], seen[k]
+        else:
+            count = _clip(points, faces[f], lens, corners)
+            if count == 0:
+                continue
+            for c in range(count):
+                if corners[c, 2] >= CUT_SHARE / lens.near:
+                    top, bottom = min(top, corners[c, 1]), max(bottom, corners[c, 1])
+                    left, right = min(left, corners[c, 0]), max(right, corners[c, 0])
+        o, p, q = points[i], points[j], points[k]
+        px, py, pz = p[0] - o[0], p[1] - o[1], p[2] - o[2]
+        qx, qy, qz = q[0] - o[0], q[1] - o[1], q[2] - o[2]
+        nx, ny, nz = py * qz - pz * qy, pz * qx - px * qz, px * qy - py * qx
+        offset = nx * o[0] + ny * o[1] + nz * o[2]
+        if offset <= EDGE_ON:  # else it is seen from behind
+            a, b = nx / (lens.fx * offset), ny / (lens.fy * offset)
+            _enter_bounds(corners, count, a, b, nz / offset - a * lens.cx - b * lens.cy, box, tile_px, bounds)
+    for row in range(bounds.shape[0]):
+        for column in range(bounds.shape[1]):
+            v, u = box[0] + row * tile_px, box[2] + column * tile_px
+            if not (bottom < v - 1 or top > v + tile_px or right < u - 1 or left > u + tile_px):
+                bounds[row, column, 0], bounds[row, column, 1] = 0.0, np.inf
+
+
+@compiled(makes_arrays=True)
+def _enter_bounds(corners: Any, count: int, a: float, b: float, c: float, box: Any, tile_px: int, bounds: Any) -> None:
+    """Widen the bounds of the tiles that a face with the plane ``1/z = a u + b v + c`` may reach into."""
+    low, high = corners[0, 2], corners[0, 2]
+    top, bottom, left, right = corners[0, 1], corners[0, 1], corners[0, 0], corners[0, 0]
+    for n in range(1, count):
+        low, high = min(low, corners[n, 2]), max(high, corners[n, 2])
+        top, bottom = min(top, corners[n, 1]), max(bottom, corners[n, 1])
+        left, right = min(left, corners[n, 0]), max(right, corners[n, 0])
+    for row in range(bounds.shape[0]):
+        v = box[0] + row * tile_px
+        if bottom < v - 1 or top > v + tile_px:
+            continue
+        for column in range(bounds.shape[1]):
+            u = box[2] + column * tile_px
+            if right < u - 1 or left > u + tile_px:
+                continue
+            # Over what of the tile the face may cover.
+            u0, u1 = max(float(u), left - 1.0), min(float(u + tile_px), right + 1.0)
+            v0, v1 = max(float(v), top - 1.0), min(float(v + tile_px), bottom + 1.0)
+            w, across, down = a * u0 + b * v0 + c, a * (u1 - u0), b * (v1 - v0)
+            first, last = w + min(across, 0.0) + min(down, 0.0), w + max(across, 0.0) + max(down, 0.0)
+            least, greatest = low, high
+            if first == first and last == last:  # else the face is seen edge-on
+                least, greatest = max(low, first), min(high, last)
+            if least <= greatest:  # else its plane has these depths elsewhere
+                bounds[row, column, 0] = min(bounds[row, column, 0], least)
+                bounds[row, column, 1] = max(bounds[row, column, 1], greatest)

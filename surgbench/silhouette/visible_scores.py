@@ -17,7 +17,7 @@ from surgbench.compiled import compiled
 from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument
 from surgbench.silhouette.evaluator import Reference
-from surgbench.silhouette.visibility import VisibilityEvaluator, nearest_surface_in
+from surgbench.silhouette.visibility import VisibilityEvaluator, nearest_surface_in, nearness_bounds
 from surgbench.state import STATE_SIZE, split_arms
 
 
@@ -116,14 +116,42 @@ class VisibleScorer:
             arm.evaluator.paint(state, image)
         found = _overlap_in(self._images, box, self._wanted)
         if found[0] < found[1]:
-            scratch = zip(self._images, self._seen, self._depths, strict=True)
-            for arm, links, (image, seen, depth) in zip(self.visibility.arms, transforms, scratch, strict=True):
-                # Of two arms both cover all of these pixels; of more, not all do.
-                own = self._wanted if len(self._images) == 2 else image & self._wanted
-                points, lens = arm.points_of(links), self.visibility.lens
-                nearest_surface_in(points, arm.faces, lens, own, found, self._room, seen, depth)
-            _count(self._images, self._depths, self._wanted, masks, found, hidden)
+            points = [arm.points_of(links) for arm, links in zip(self.visibility.arms, transforms, strict=True)]
+            for part in self._count_in_order(points, found, masks, hidden) if len(points) == 2 else [found]:
+                self._count_by_pixel(points, part, masks, hidden)
         self._images[:] = False
+
+    def _count_in_order(
+        self, points: list[FloatArray], box: Any, masks: NDArray[np.bool_], hidden: Any
+    ) -> list[tuple[int, int, int, int]]:
+        """Count of two arms the pixels of tiles in which one is in front wherever both are; returns the other tiles."""
+        tiles = [-(-(box[end] - box[begin]) // TILE_PX) for begin, end in ((0, 1), (2, 3))]
+        bounds = np.empty((2, *tiles, 2))
+        for arm, own, seen, each in zip(self.visibility.arms, points, self._seen, bounds, strict=True):
+            nearness_bounds(own, arm.faces, self.visibility.lens, box, TILE_PX, seen, each)
+        unsure = np.zeros(tiles, dtype=bool)
+        _count_tiles(self._wanted, masks, box, bounds, hidden, unsure)
+        top, bottom, left, right = box
+        return [
+            (v, min(v + TILE_PX, bottom), u, min(u + TILE_PX, right))
+            for row, column in zip(*np.nonzero(unsure), strict=True)
+            for v, u in [(top + int(row) * TILE_PX, left + int(column) * TILE_PX)]
+        ]
+
+    def _count_by_pixel(self, points: list[FloatArray], box: Any, masks: NDArray[np.bool_], hidden: Any) -> None:
+        """Count what is hidden in a box that holds pixels of several arms."""
+        scratch = zip(self._images, self._seen, self._depths, strict=True)
+        for arm, own, (image, seen, depth) in zip(self.visibility.arms, points, scratch, strict=True):
+            # Of two arms both cover all of these pixels; of more, not all do.
+            wanted = self._wanted if len(points) == 2 else image & self._wanted
+            nearest_surface_in(own, arm.faces, self.visibility.lens, wanted, box, self._room, seen, depth)
+        _count(self._images, self._depths, self._wanted, masks, box, hidden)
+
+
+# Sides of the tiles in which the order of two arms is asked for.
+TILE_PX = 32
+# What rounding may do to an inverse depth.
+ROUNDING = 1e-9
 
 
 def _common(boxes: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -165,6 +193,31 @@ def _overlap_in(images: Any, box: Any, wanted: Any) -> Any:
             top, bottom = min(top, row), max(bottom, row + 1)
             left, right = min(left, box[2] + begin), max(right, box[2] + end)
     return top, bottom, left, right
+
+
+@compiled
+def _count_tiles(wanted: Any, masks: Any, box: Any, bounds: Any, hidden: Any, unsure: Any) -> None:
+    """Add up, tile by tile, the pixels of the arm that is behind; marked are tiles that have some and tell no order."""
+    for row in range(bounds.shape[1]):
+        for column in range(bounds.shape[2]):
+            first, second = bounds[0, row, column], bounds[1, row, column]
+            back = 1
+            if second[0] > first[1] * (1 + ROUNDING):
+                back = 0
+            elif not first[0] > second[1] * (1 + ROUNDING):
+                back = -1
+            pixels, own = 0, 0
+            left = box[2] + column * TILE_PX
+            right = min(left + TILE_PX, box[3])
+            for v in range(box[0] + row * TILE_PX, min(box[0] + (row + 1) * TILE_PX, box[1])):
+                for u in range(left, right):
+                    pixels += wanted[v, u]
+                    own += wanted[v, u] & masks[back, v, u]
+            if back >= 0:
+                hidden[back, 0] += pixels
+                hidden[back, 1] += own
+            else:
+                unsure[row, column] = pixels > 0
 
 
 @compiled

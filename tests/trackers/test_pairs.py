@@ -89,7 +89,9 @@ def test_each_arm_is_held_against_what_its_own_mask_shows(small_camera: Camera, 
             eq_8 = tips_only.views[0].keypoints(state[None])[arm][0]
             assert loss[arm] == pytest.approx(eq_6 + eq_8, rel=1e-12)
             assert overlap[arm] == (seen[arm] & masks[arm]).sum() / (seen[arm] | masks[arm]).sum()
-    np.testing.assert_allclose(objective(states)[0], losses.sum(axis=1), rtol=1e-12)
+    both = Objective(scene, LossWeights())
+    both.observe(frame)
+    np.testing.assert_array_equal(objective(states)[0], both(states)[0])  # eq. 15, whatever else there is
 
 
 def test_separate_searches_are_two_of_one_arm_each_ranked_by_its_own(small_camera: Camera) -> None:
@@ -101,7 +103,9 @@ def test_separate_searches_are_two_of_one_arm_each_ranked_by_its_own(small_camer
     estimate = tracker.step(frame)
     objective, space = PairObjective(scene, MASKS_ALONE), tracker._spaces.of(frame)
     objective.observe(frame)
-    normals = SobolNormals(9, np.random.default_rng(3))
+    rng = np.random.default_rng(3)
+    SobolNormals(18, rng)  # of the search of both
+    normals = SobolNormals(9, rng)
     settings = released_settings(9, 70)
     searches = [CMA(start, 1.0, 70, settings=settings) for start in split_arms(space.encode(frame.start))]
     least, best = [np.inf, np.inf], np.zeros((2, 9))
@@ -126,14 +130,15 @@ def test_the_released_mistake_gives_a_sample_the_weight_of_the_sample_that_its_n
     assigned = weights[np.argsort(losses)]
     top = np.argsort(-assigned)[:15]
     search = CMA(np.zeros(9), 0.5, 70, settings=released_settings(9, 70))
-    tracker = CmaesTracker(CmaesTracker.Config(dual="released"))
+    tracker = CmaesTracker(CmaesTracker.Config(released_ranks=True))
     tracker._prepare(2, np.random.default_rng(0))
-    pair: Any = tracker._search(np.zeros(18))
-    pair._asked = [arm.ask(normals) for arm in pair._arms]
-    pair.tell(np.zeros((70, 18)), np.stack([losses, losses], axis=1))
-    np.testing.assert_allclose(pair._arms[0].mean, 2.0 * assigned[top] @ normals[top], rtol=1e-12)
+    theirs: Any = tracker._search(np.zeros(9))
+    theirs.tell(theirs._cma.ask(normals), losses)
+    np.testing.assert_allclose(theirs._cma.mean, 2.0 * assigned[top] @ normals[top], rtol=1e-12)
     search.tell(search.ask(normals), losses)
-    assert np.abs(search.mean / 0.5 - pair._arms[0].mean).max() > 0.1
+    assert np.abs(search.mean / 0.5 - theirs._cma.mean).max() > 0.1
+    both: Any = tracker._search(np.zeros(18))
+    assert not both._mistaken
 
 
 @pytest.mark.parametrize("dual", ["joint", "separate"])
@@ -188,6 +193,22 @@ def test_an_arm_behind_the_other_is_hidden(camera: Camera, with_masks: bool) -> 
     assert hidden.tolist() == [False, True]
     assert confidence[0] > 0.9
     assert confidence[1] == 0.0
+
+
+@pytest.mark.parametrize("make", [CmaesTracker, XnesTracker, PycmaTracker])
+def test_masks_of_single_arms_are_used_where_they_are(make: Any, small_camera: Camera) -> None:
+    scene, truth = scene_of(small_camera, arms=2), crossing()
+    frame = told(scene, truth, start=truth + STEP)
+
+    def estimate(dual: str, frame: Observation) -> FloatArray:
+        tracker = make(make.Config(dual=dual))
+        tracker.reset(scene, frame.start, np.random.default_rng(0))
+        state: FloatArray = tracker.step(frame).state
+        return state
+
+    union = replace(frame, views=(replace(frame.views[0], instance_masks=None),))
+    np.testing.assert_array_equal(estimate("auto", frame), estimate("separate", frame))
+    np.testing.assert_array_equal(estimate("auto", union), estimate("joint", frame))
 
 
 @pytest.mark.parametrize("make", [CmaesTracker, XnesTracker, PycmaTracker, AdamTracker])
