@@ -19,7 +19,7 @@ class PairObjective(Objective):
     """Scores candidate states of two arms.
 
     A call is eq. 15: both arms' silhouette and the one mask, and eq. 8 of each arm. Where all views of a frame have a
-    mask for each arm, too, :meth:`arms` has a loss for each: eq. 6 of what is seen of it and its own mask, and its eq. 8.
+    mask for each arm, too, :meth:`arms` has a loss for each: eq. 6 of what is seen of it and its own mask, and eq. 8.
 
     Masks that are the same for both arms tell nothing apart, and are none. Segmenters confuse arms: where the state
     that a frame's search begins with is far nearer to the masks if they are exchanged, they are.

@@ -32,6 +32,8 @@ class CmaesTracker(SamplingTracker):
                 "the paper's code"
             ),
         ] = False
+        pair_options: ClassVar[tuple[str, ...]] = ("dual", "released_ranks")
+
         elites: Annotated[int, Field(ge=1, description="best samples that move the mean, at most half of all")] = 15
         mean_rate: Annotated[float, Field(gt=0, description="c_m of eq. 3")] = 2.0
         covariance_rate: Annotated[float, Field(gt=0, description="factor on the default c_mu of eq. 4")] = 4.0

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Sequence
-from typing import Annotated, Literal, Protocol
+from typing import Annotated, Any, ClassVar, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
 
 from surgbench.config import Section
 from surgbench.contract import Estimate, InstrumentTracker, Observation, Scene, Trace
@@ -77,6 +77,14 @@ class SamplingConfig(Section):
         ),
     ] = "auto"
     loss: LossWeights = LossWeights(keypoint_form="released")
+
+    pair_options: ClassVar[tuple[str, ...]] = ("dual",)
+
+    @model_serializer(mode="wrap")
+    def _without_what_is_about_pairs(self, serialise: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        # So that the hashes of runs that do not set them do not know of them.
+        usual = {name: type(self).model_fields[name].default for name in self.pair_options}
+        return {key: value for key, value in serialise(self).items() if key not in usual or value != usual[key]}
 
 
 class SamplingTracker(InstrumentTracker):
