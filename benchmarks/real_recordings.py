@@ -53,7 +53,6 @@ from surgbench.geometry import FloatArray
 from surgbench.keypoints.accuracy import pair_errors
 from surgbench.keypoints.found import BOTH
 from surgbench.metrics import choose_twin, mask_error
-from surgbench.records.reader import read_records
 from surgbench.registry import create, find
 from surgbench.silhouette import Reference, SilhouetteEvaluator
 from surgbench.state import JOINTS, twin
@@ -65,7 +64,7 @@ from surgbench.suite.suites import parse_sets
 from surgbench.tasks.instrument.asked import InstrumentRow
 from surgbench.tasks.instrument.dataset import InstrumentDataset, InstrumentUnit
 from surgbench.tasks.instrument.in_process import answers
-from surgbench.tasks.instrument.records import InstrumentRecord
+from surgbench.tasks.instrument.recorded_on import records_on
 from surgbench.tasks.instrument.units import UnitData
 from surgbench.trackers.registration.edges import find_edges, missed_edge, missed_lengths
 from surgbench.trackers.registration.jaws import JawJudge
@@ -126,14 +125,10 @@ def keypoints(dataset: InstrumentDataset, name: str) -> None:
 
 
 def tracks(dataset: InstrumentDataset, runs: list[Path]) -> None:
-    units = {unit.id: unit for unit in dataset.units()}
     changes: dict[str, list[FloatArray]] = defaultdict(list)
     off: dict[str, list[FloatArray]] = defaultdict(list)
-    for record in read_records(runs) if runs else []:
-        if not isinstance(record, InstrumentRecord) or record.spec.dataset.sha256 != dataset.hash:
-            continue
-        row, unit = record.spec.row_id, units[record.spec.unit]
-        states = record.frames.states
+    for record, unit in records_on(dataset, runs):
+        row, states = record.spec.row_id, record.frames.states
         if not len(states):
             print(f"{row} {unit.id}: {record.status}: {record.error}")
             continue

@@ -22,11 +22,9 @@ from surgbench.dataset.open import open_as
 from surgbench.errors import SurgbenchError
 from surgbench.geometry import FloatArray
 from surgbench.metrics import choose_twin
-from surgbench.records.reader import read_records
 from surgbench.state import JOINTS
 from surgbench.tasks.instrument.dataset import InstrumentDataset
-from surgbench.tasks.instrument.records import InstrumentRecord
-from surgbench.tasks.instrument.units import UnitData
+from surgbench.tasks.instrument.recorded_on import records_on
 
 SLIPPED_RAD = 0.2
 
@@ -50,17 +48,13 @@ def main() -> int:
 
 def errors(dataset: InstrumentDataset, runs: list[Path], rows: list[str] | None) -> dict[str, list[FloatArray]]:
     """Of each row, the joints' absolute errors ``(frames, 3)`` in rad of each of its runs of one arm."""
-    units = {unit.id: unit for unit in dataset.units()}
     off: dict[str, list[FloatArray]] = defaultdict(list)
-    for record in read_records(runs):
-        if not isinstance(record, InstrumentRecord) or record.spec.dataset.sha256 != dataset.hash:
+    for record, unit in records_on(dataset, runs):
+        true_states = dataset.sequence(unit.sequence).states(unit.arms[0])
+        if (rows and record.spec.row_id not in rows) or true_states is None:
             continue
-        unit = units[record.spec.unit]
-        truth = UnitData(dataset, unit, "none").truth
-        if (rows and record.spec.row_id not in rows) or len(unit.arms) > 1 or truth is None:
-            continue
-        states = np.asarray(record.frames.states)
-        true = truth[: len(states), 0]
+        states = record.frames.states
+        true = true_states[: len(states)]
         off[record.spec.row_id].append(np.abs(choose_twin(states, true) - true)[:, JOINTS])
     return off
 

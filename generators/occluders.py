@@ -36,8 +36,10 @@ LARGEST = 3.0
 TISSUE_FOLLOWS_S = 4.0
 TISSUE_SWAYS_S = (5.0, 12.0)
 # One spot an arm begins every so many frames; how long it lasts.
-SPOT_EVERY_FRAMES = 12
+SPOT_EVERY_FRAMES = 18
 SPOT_FRAMES = (15, 60)
+# How far it is beside the arm's centre line, as a share of the picture's height.
+SPOT_BESIDE = 0.03
 # Frames of a third tool's visit, of its ways in and out, and how far its aim is from between the arms.
 VISIT_FRAMES = (60, 140)
 VISIT_TRAVEL = (18, 30)
@@ -259,6 +261,7 @@ def _spots(ends: FloatArray, camera: Camera, rng: np.random.Generator) -> Blobs:
     middle = np.clip(first + lasts // 2, 0, frames - 1)
     still = np.repeat(where[middle, np.arange(count)][None], frames, axis=0)
     centres = np.where((rng.random(count) < 0.5)[:, None], where, still)
+    centres = centres + SPOT_BESIDE * camera.height * rng.standard_normal((count, 2))
     return Blobs(
         np.nan_to_num(centres),
         np.where(np.isnan(centres[..., 0]), 0.0, radii),

@@ -65,11 +65,13 @@ class MaskRenderer:
         mask: Mask = self.distance(states) > 0
         return mask
 
-    def distance(self, states: FloatArray) -> NDArray[np.float32]:
+    def distance(self, states: FloatArray, window: tuple[int, int, int, int] | None = None) -> NDArray[np.float32]:
         """Render one frame.
 
         Args:
             states: ``(9 * instruments,)`` or ``(instruments, 9)``.
+            window: First row, row after the last, first column and column after the last that are wanted; all unless
+                told.
 
         Returns:
             ``(height, width)``: how far along the ray through a pixel's centre the nearest surface is, in units of that
@@ -96,6 +98,11 @@ class MaskRenderer:
         left, top = (int(value) for value in np.maximum(np.floor(low), 0))
         right = min(int(np.ceil(high[0])) + 1, self.camera.width)
         bottom = min(int(np.ceil(high[1])) + 1, self.camera.height)
+        if window is not None:
+            top, bottom = max(top, window[0]), min(bottom, window[1])
+            left, right = max(left, window[2]), min(right, window[3])
+            if top >= bottom or left >= right:
+                return distance
         self._parameters["sensor.film.crop_offset"] = mi.Point2u(left, top)
         self._parameters["sensor.film.crop_size"] = mi.Vector2u(right - left, bottom - top)
         self._parameters.update()

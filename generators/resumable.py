@@ -66,11 +66,12 @@ def generate(
         return False
     fresh = not out.exists() or not any(without_leftovers(out.iterdir()))
     done = {path for path in plan.paths if (out / path).is_file()} if out.is_dir() else set()
-    _check_disk(plan, out, len(done) / len(plan.paths), say)
+    planned = _check_disk(plan, out, len(done) / len(plan.paths))
     try:
         with sole_writer(out, "generate"):
             _remove_partial(out)
             write_atomic(out / MARKER_NAME, json.dumps(plan.marker, sort_keys=True, indent=1).encode())
+            say(planned)  # not before something could be written there
             manifest = plan.write(out, jobs, progress)
             _remove_partial(out)
             write_atomic(out / MANIFEST_NAME, manifest.to_bytes())
@@ -153,17 +154,18 @@ def _is_complete(out: Path) -> bool:
     return True
 
 
-def _check_disk(plan: GenerationPlan, out: Path, share_done: float, say: Callable[[str], None]) -> None:
+def _check_disk(plan: GenerationPlan, out: Path, share_done: float) -> str:
+    """A line that says what is going to be made; raises where there is no room for it."""
     parent = next(folder for folder in (out.absolute(), *out.absolute().parents) if folder.is_dir())
     free = shutil.disk_usage(parent).free
     need = int(plan.disk_bytes * (1.0 - share_done))
     resumed = f", {share_done:.0%} of its files are there already" if share_done else ""
-    say(f"{plan.name}: {plan.counts}, about {plan.disk_bytes / 1e6:.0f} MB{resumed}; {free / 1e6:.0f} MB free")
     if free < need:
         raise SurgbenchError(
             f"{out}: the disk has {free / 1e6:.0f} MB free but {need / 1e6:.0f} MB are needed; "
             "make room, choose another --out, or fewer --sequences or --frames"
         )
+    return f"{plan.name}: {plan.counts}, about {plan.disk_bytes / 1e6:.0f} MB{resumed}; {free / 1e6:.0f} MB free"
 
 
 def _remove_marker(out: Path) -> None:

@@ -14,6 +14,7 @@ from surgbench.generators.instances import swapped_frames
 from surgbench.generators.observations import observe_arm, observe_free_tool, observe_joints, observe_keypoints
 from surgbench.generators.occluders import InTheWay, put_in_the_way
 from surgbench.generators.presets import Preset
+from surgbench.generators.seen_tips import seen_tips
 from surgbench.generators.trajectories import make_motion
 from surgbench.geometry import FloatArray, rotation_vector
 from surgbench.instrument import Instrument
@@ -88,14 +89,20 @@ def make_tables(preset: Preset, entry: SequenceEntry, instrument: Instrument, ca
     motion = make_motion(
         seen_by, instrument, preset.half(int(entry.id)), frames, generator(**axes, purpose="trajectory")
     )
+    apart, hidden = None, None
+    if preset.instances is not None:
+        swapped = swapped_frames(preset.instances, frames, generator(**axes, purpose="swaps"))
+        hiding = put_in_the_way(preset.occluders, motion.states, instrument, camera, entry.dt_s, **axes)
+        apart = ToldApart(swapped, hiding)
+        hidden = ~seen_tips(motion.states, instrument, camera, hiding)
     observed: dict[str, FloatArray] = {tables.TIMESTAMP: np.arange(frames, dtype=np.float64) * entry.dt_s}
     truth: dict[str, FloatArray] = {}
     bases: dict[Arm, tuple[float, ...]] = {}
     for index, arm in enumerate(entry.arms):
         own, robot = motion.states[:, index], motion.arms[index]
-        points = observe_keypoints(
-            own, instrument, camera, preset.keypoints, generator(**axes, arm=arm, purpose="keypoints")
-        )
+        rng = generator(**axes, arm=arm, purpose="keypoints")
+        own_hidden = None if hidden is None else hidden[:, index]
+        points = observe_keypoints(own, instrument, camera, preset.keypoints, rng, own_hidden)
         readings = observe_joints(own, preset.readings, entry.dt_s, generator(**axes, arm=arm, purpose="readings"))
         rng = generator(**axes, arm=arm, purpose="kinematics")
         if robot is None:
@@ -109,11 +116,6 @@ def make_tables(preset: Preset, entry: SequenceEntry, instrument: Instrument, ca
         bases[arm] = tuple(tool.T_cam_base.ravel().tolist())
         truth |= _columns(arm, STATE_COLUMNS, own)
     views = make_views(preset, entry.id, motion.states, instrument)
-    apart = None
-    if preset.instances is not None:
-        swapped = swapped_frames(preset.instances, frames, generator(**axes, purpose="swaps"))
-        hiding = put_in_the_way(preset.occluders, motion.states, instrument, camera, entry.dt_s, **axes)
-        apart = ToldApart(swapped, hiding)
     return SequenceTables(motion.states, observed, truth, bases, views, apart).first(entry.frames)
 
 

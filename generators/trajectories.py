@@ -116,10 +116,13 @@ def make_motion(
                     if back is None:
                         continue
                     states = drawn_back_by(states, back)
-                return PairMotion(states, (_moved(left, values, 0, back), _moved(right, values, 1, back)))
+                arms = (_moved(left, values, 0, back), _moved(right, values, 1, back))
+                if all(one is None or one.arm.within_limits(one.arm_joints).all() for one in arms):
+                    return PairMotion(states, arms)
     raise ConfigError(
         f"preset '{preset.name}': no feasible {half} trajectory of {frames} frames was found; "
-        "widen workspace or lessen motion (workspace.reach, workspace.tip_margin, motion.max_step)"
+        "widen workspace or lessen motion (workspace.reach, workspace.tip_margin, motion.max_step"
+        + (", occluders.outside)" if preset.occluders.outside else ")")
     )
 
 

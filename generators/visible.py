@@ -91,8 +91,8 @@ class ArmsRenderer:
     def seen(self, states: FloatArray, third: FloatArray | None = None) -> Seen:
         """Render one frame.
 
-        Of both arms, the ray through a pixel's centre meets what is nearest, which is what it meets of one of them
-        alone: of that which agrees better, for on an edge of two faces the distance may be rounded either way.
+        Where the arms overlap, the ray through a pixel's centre meets of both what is nearest, which is what it meets
+        of one of them alone: of that which agrees better, for the distance may be rounded either way.
 
         Args:
             states: ``(2, 9)``.
@@ -100,9 +100,14 @@ class ArmsRenderer:
         """
         arms = np.stack([renderer.distance(state) for renderer, state in zip(self._alone, states, strict=True)])
         alone = arms > 0
-        pair = self._pair.distance(states)
-        nearest = np.where(alone, np.abs(arms - pair), np.inf).argmin(axis=0)
-        visible = alone & (nearest == np.arange(len(arms))[:, None, None])
+        overlap = alone[0] & alone[1]
+        visible = alone & ~overlap
+        if overlap.any():
+            rows, columns = (np.flatnonzero(overlap.any(axis=axis)) for axis in (1, 0))
+            window = (int(rows[0]), int(rows[-1]) + 1, int(columns[0]), int(columns[-1]) + 1)
+            pair = self._pair.distance(states, window)
+            nearest = np.abs(arms[:, overlap] - pair[overlap]).argmin(axis=0)
+            visible[:, overlap] = nearest == np.arange(len(arms))[:, None]
         tools = np.zeros_like(alone)
         for tool, arm, state in zip(tools, arms, states, strict=True):
             own = self._tool.distance(state)
@@ -111,7 +116,7 @@ class ArmsRenderer:
         before = None
         if third is not None:
             other = self._third.distance(third)
-            before = see((other > 0) & ((pair == 0) | (other < pair)))
+            before = see((other > 0) & ~((alone & (arms <= other)).any(axis=0)))
         alone, visible, tools = (np.stack([see(mask) for mask in masks]) for masks in (alone, visible, tools))
         return Seen(alone, visible, tools, before)
 

@@ -14,6 +14,7 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from surgbench.errors import ConfigError, NotFoundError, unknown_name
+from surgbench.syntax import parse_yaml
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -92,10 +93,10 @@ def read_yaml(path: Path, what: str) -> dict[str, Any]:
         ConfigError: It is missing, not YAML, or not a mapping; one line.
     """
     try:
-        content = yaml.load(path.read_text(encoding="utf-8"), Loader=_UniqueKeyLoader)  # a safe loader
+        content = parse_value(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise ConfigError(f"{path}: {what} file cannot be read ({error.strerror})") from None
-    except (UnicodeDecodeError, yaml.YAMLError) as error:
+    except ValueError as error:
         raise ConfigError(f"{path}: not valid YAML ({' '.join(str(error).split())})") from None
     if not isinstance(content, dict):
         raise ConfigError(f"{path}: a {what} file must be a mapping of keys")
@@ -108,10 +109,7 @@ def parse_value(text: str) -> Any:
     Raises:
         ValueError: It is none.
     """
-    try:
-        return yaml.load(text, Loader=_UniqueKeyLoader)
-    except yaml.YAMLError as error:
-        raise ValueError(str(error)) from None
+    return parse_yaml(text, _UniqueKeyLoader)
 
 
 def parse_model(model: type[Model], content: Any, source: str) -> Model:

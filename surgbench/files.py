@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import os
@@ -14,16 +15,22 @@ HASH_DIGITS = 16
 
 
 def write_atomic(path: Path, data: bytes) -> None:
-    """Write ``data`` so that ``path`` never holds a part of it, whatever kills the process."""
+    """Write ``data`` so that ``path`` never holds a part of it, whatever kills the process.
+
+    Raises:
+        OSError: It cannot be written; names ``path``.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
     # Two machines, or two containers, that share the folder may each have a process of this number.
     partial = path.with_name(f"{path.name}.{os.getpid()}.{token_hex(4)}{PARTIAL_SUFFIX}")
     try:
         partial.write_bytes(data)
         partial.replace(path)
-    except OSError:
-        partial.unlink(missing_ok=True)
-        raise
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            partial.unlink(missing_ok=True)
+        # Of a full disk the system names no file, else the part.
+        raise OSError(error.errno, error.strerror, str(path)) from None
 
 
 def canonical_json(value: Any) -> str:

@@ -356,16 +356,17 @@ def translation_error_scaled(estimate_m: FloatArray, truth_m: FloatArray) -> flo
     return float(np.linalg.norm(factor * estimate - truth, axis=-1).mean())
 
 
-def jitter(tips: FloatArray, dt_s: float) -> float:
+def jitter(tips: FloatArray, dt_s: ArrayLike) -> float:
     """How much the estimate trembles: root mean square acceleration of the point midway between the tips.
 
-    The second difference of the midpoint over ``dt_s`` squared, in m/s². It holds the motion's own acceleration
+    The second difference of the midpoint over ``dt_s`` squared, in m/s²; where frames are not evenly spaced, the
+    second divided difference, twice. It holds the motion's own acceleration
     too, so it compares trackers on the same sequence; it is not an error and the truth's is not 0. The midpoint
     is the same for a state and its twin.
 
     Args:
         tips: ``(T, 2, 3)`` tips in the camera frame, metres, of consecutive frames; NaN where a frame does not count.
-        dt_s: Seconds between frames.
+        dt_s: Seconds from frame to frame: one number, or ``(T - 1,)`` (:func:`surgbench.timing.steps_s`).
 
     Returns:
         m/s²; NaN where no three frames in a row count.
@@ -383,13 +384,17 @@ def jitter(tips: FloatArray, dt_s: float) -> float:
     midpoint = np.asarray(tips, dtype=np.float64).mean(axis=-2)
     if len(midpoint) < 3:
         return float("nan")
-    acceleration = np.diff(midpoint, n=2, axis=0) / dt_s**2
+    before, after = _steps_around(dt_s, len(midpoint))
+    moved = np.diff(midpoint, axis=0)
+    uneven = 2 * (moved[1:] / after - moved[:-1] / before) / (before + after)
+    # Even steps as they are published, to the last digit.
+    acceleration = np.where(before == after, np.diff(midpoint, n=2, axis=0) / before**2, uneven)
     squared = (acceleration**2).sum(axis=-1)
     squared = squared[~np.isnan(squared)]
     return float(np.sqrt(squared.mean())) if squared.size else float("nan")
 
 
-def lag(positions: FloatArray, true_positions: FloatArray, dt_s: float) -> float:
+def lag(positions: FloatArray, true_positions: FloatArray, dt_s: ArrayLike) -> float:
     """By how much time positions trail behind the true motion: least squares of their error on the true velocity.
 
     A position that is late by ``tau`` is off by ``-tau v``, so that ``tau = -sum(e . v) / sum(v . v)`` with the error
@@ -399,7 +404,7 @@ def lag(positions: FloatArray, true_positions: FloatArray, dt_s: float) -> float
     Args:
         positions: ``(T, 3)`` estimates or search starts of consecutive frames, metres; NaN where one does not count.
         true_positions: Same shape.
-        dt_s: Seconds between frames.
+        dt_s: Seconds from frame to frame: one number, or ``(T - 1,)`` (:func:`surgbench.timing.steps_s`).
 
     Returns:
         Seconds; NaN without motion, which fewer than three frames are.
@@ -414,7 +419,13 @@ def lag(positions: FloatArray, true_positions: FloatArray, dt_s: float) -> float
         (0.1, -0.1)
     """
     estimate, true = np.asarray(positions, dtype=np.float64), np.asarray(true_positions, dtype=np.float64)
-    velocity = (true[2:] - true[:-2]) / (2 * dt_s)
+    if len(true) < 3:
+        return float("nan")
+    before, after = _steps_around(dt_s, len(true))
+    steps = np.diff(true, axis=0)
+    # Uneven steps: of the parabola through three frames, at the middle one.
+    uneven = (steps[1:] * (before / after) + steps[:-1] * (after / before)) / (before + after)
+    velocity = np.where(before == after, (true[2:] - true[:-2]) / (2 * before), uneven)
     error = (estimate - true)[1:-1]
     counts = ~np.isnan(error).any(axis=-1)
     error, velocity = error[counts], velocity[counts]
@@ -422,3 +433,9 @@ def lag(positions: FloatArray, true_positions: FloatArray, dt_s: float) -> float
     if moved == 0.0:
         return float("nan")
     return -float((error * velocity).sum()) / moved
+
+
+def _steps_around(dt_s: ArrayLike, frames: int) -> tuple[FloatArray, FloatArray]:
+    """Seconds to each frame but the first and the last from the one before, and from it to the next, ``(T - 2, 1)``."""
+    steps = np.broadcast_to(np.asarray(dt_s, dtype=np.float64), (frames - 1,))[:, None]
+    return steps[:-1], steps[1:]

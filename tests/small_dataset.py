@@ -62,11 +62,13 @@ def make_pair(
     name: str = "pairs",
     visible: tuple[MaskKind, ...] = (),
     hidden: Collection[int] | None = None,
+    steps: tuple[int, ...] | None = None,
 ) -> InstrumentDataset:
     """Pairs whose masks are the silhouettes of their states, uncorrupted, with tips and readings.
 
     The left arm is taken to be in front in masks of what is ``visible``. In frames that are ``hidden`` so are the right
-    arm's wrist and jaws, by the table of visibility alone.
+    arm's wrist and jaws, by the table of visibility alone. Frames follow one another, or are those of ``steps``, with
+    gaps between them.
     """
     driver = load_instrument(DRIVER)
     save_instrument(driver, root / f"instruments/{DRIVER}")
@@ -84,7 +86,7 @@ def make_pair(
                 _put(root / observed_path(id_, kind, frame), encode_mask(mask))
                 if truth:
                     _put(root / clean_mask_path(id_, kind, frame), encode_mask(mask))
-        columns: dict[str, FloatArray] = {"timestamp_s": DT_S * np.arange(frames, dtype=np.float64)}
+        columns: dict[str, FloatArray] = {"timestamp_s": DT_S * np.array(steps or range(frames), dtype=np.float64)}
         for arm in ARMS:
             tips = CAMERA.project(driver.tips_cam(states[arm])).reshape(-1, 4)
             columns |= dict(zip(arm_columns(arm, KEYPOINT_COLUMNS), tips.T, strict=True))

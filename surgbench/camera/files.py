@@ -109,12 +109,19 @@ def read_camera(
 
 
 def _scaled(path: Path, camera: Camera, pictures: tuple[int, int], say: Callable[[str], None]) -> Camera:
-    """The camera of pictures of another size.
+    """The camera of pictures of another size: scaled, or with an odd row or column less or more.
 
     Raises:
         DatasetError: Their aspect ratio is another.
     """
     size = f"{camera.width}x{camera.height}"
+    even = _evened(camera, pictures)
+    if even is not None:
+        say(
+            f"{path.name}: calibrated at {size}, and the pictures are {even.width}x{even.height}, as encoders want "
+            "even sizes: the same camera, with a row or column less or more at the end"
+        )
+        return even
     try:
         scaled = camera.resized(*pictures)
     except ConfigError:
@@ -125,6 +132,18 @@ def _scaled(path: Path, camera: Camera, pictures: tuple[int, int], say: Callable
     numbers = ", ".join(f"{key} {getattr(scaled, key):.2f}" for key in ("fx", "fy", "cx", "cy"))
     say(f"{path.name}: calibrated at {size}, scaled to the pictures' {scaled.width}x{scaled.height}: {numbers}")
     return scaled
+
+
+def _evened(camera: Camera, pictures: tuple[int, int]) -> Camera | None:
+    """The camera of pictures that an encoder made even: many cut off the last row or column, or add one.
+
+    Returns:
+        ``None`` where that is not what they differ by.
+    """
+    sizes = ((camera.width, pictures[0]), (camera.height, pictures[1]))
+    if any(ours != theirs and not (ours % 2 == 1 and abs(theirs - ours) == 1) for ours, theirs in sizes):
+        return None
+    return camera.model_copy(update={"width": pictures[0], "height": pictures[1]})
 
 
 def _size(stated: Stated, pictures: tuple[int, int] | None, calibrated_at: tuple[int, int] | None) -> dict[str, int]:

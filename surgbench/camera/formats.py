@@ -7,7 +7,6 @@ model may be missing, and :mod:`surgbench.camera.files` does without them or ref
 from __future__ import annotations
 
 import io
-import json
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -21,7 +20,7 @@ from surgbench.camera.lens import DistortionModel
 from surgbench.config import parse_value
 from surgbench.errors import ConfigError, DatasetError, unknown_name
 from surgbench.geometry import FloatArray
-from surgbench.syntax import PARSING
+from surgbench.syntax import PARSING, parse_json
 
 KEYS = "width, height, fx, fy, cx, cy"
 _INTRINSICS = ("fx", "fy", "cx", "cy")
@@ -45,6 +44,8 @@ _NAMES: dict[str, tuple[str, ...]] = {
 }
 # What BOP's camera.json has besides.
 _IGNORED = ("depth_scale",)
+# A camera that is told again and again is read so often.
+_MESSAGES = 20
 # Pixels: what a matrix may have where there is nothing.
 _NOTHING = 1e-6
 
@@ -131,17 +132,34 @@ def _content(path: Path) -> tuple[Any, str]:
         return numbers, ""
     if text.startswith(("{", "[")):
         try:
-            return json.loads(text), "JSON"
-        except json.JSONDecodeError as error:
+            return parse_json(text), "JSON"
+        except ValueError as error:
             raise ValueError(f"not valid JSON ({error})") from None
     try:
-        # What `rostopic echo` prints ends in the separator of documents.
-        content = parse_value(re.sub(r"\n---\Z", "", text))
+        content = _message(text)
     except ValueError as error:
         raise ValueError(f"not valid YAML ({error})") from None
     if not isinstance(content, (Mapping, list)):
         raise ValueError(f"no camera file (keys: {KEYS}; or camera_matrix; or nine numbers of K)")
     return content, "YAML"
+
+
+def _message(text: str) -> Any:
+    """A YAML document; of several messages, as `rostopic echo` prints them with ``---`` behind each, the camera of all.
+
+    Raises:
+        ValueError: It is none, or the messages tell different cameras.
+    """
+    documents = [one for one in re.split(r"(?m)^---\s*$", text) if re.sub(r"(?m)^%.*", "", one).strip()]
+    if len(documents) < 2:
+        return parse_value(documents[0]) if documents else None
+    if documents[-1].count("\n") < documents[0].count("\n"):
+        documents.pop()  # the last one may have been cut off
+    said = [parse_value(one) for one in documents[:_MESSAGES]]
+    cameras = [{k: v for k, v in one.items() if k != "header"} if isinstance(one, Mapping) else one for one in said]
+    if any(one != cameras[0] for one in cameras[1:]):
+        raise ValueError("holds several cameras, one after the other; leave only the one that is meant")
+    return cameras[0]
 
 
 def _matrix_text(text: str) -> FloatArray | None:

@@ -118,10 +118,7 @@ class Lens:
         straight = np.full_like(flat, np.nan)
         known = np.flatnonzero(np.isfinite(flat).all(axis=1))
         if self._model == "opencv" and len(known):
-            found = cv2.undistortPoints(
-                flat[known].reshape(-1, 1, 2), self._matrix, self._coefficients, P=self._matrix, criteria=_FIXED_POINT
-            )
-            guess = np.asarray(found, dtype=np.float64).reshape(-1, 2)
+            guess = _fixed_point(flat[known], self._matrix, self._coefficients)
             near = self._off(guess, flat[known]) <= _NEAR_PX
             straight[known[near]] = guess[near]
             known = known[~near]
@@ -266,3 +263,14 @@ def lens(
     """
     fx, fy, cx, cy = intrinsics
     return Lens(np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), size, coefficients, model)
+
+
+def _fixed_point(pixels: FloatArray, matrix: FloatArray, coefficients: FloatArray) -> FloatArray:
+    """``(N, 2)`` of ``(N, 2)``: OpenCV's inverse of a lens, iterated until it stands still, whether or not it does."""
+    points = pixels.reshape(-1, 1, 2)
+    older = getattr(cv2, "undistortPointsIter", None)  # until 4, criteria were another function's
+    if older is not None:
+        found = older(points, matrix, coefficients, np.eye(3), matrix, _FIXED_POINT)
+    else:
+        found = cv2.undistortPoints(points, matrix, coefficients, P=matrix, criteria=_FIXED_POINT)
+    return np.asarray(found, dtype=np.float64).reshape(-1, 2)

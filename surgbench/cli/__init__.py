@@ -34,6 +34,8 @@ from surgbench.extras import not_installed
 from surgbench.processes.streams import abandon_output, flush_output, print_whatever_comes
 from surgbench.version import __version__
 
+# What these write appears when it is whole; of all others, what is done is not done again.
+_WHOLE = ("import", "export", "track", "handeye", "video")
 INTERRUPTED = 130  # typer's own exit code for Ctrl-C, and the shell's
 BROKEN_PIPE = 1  # typer's own exit code for output that nobody reads any more
 
@@ -183,7 +185,9 @@ def _run(arguments: list[str], debug: bool) -> int:
         else:
             code = _complain(message or "not enough arguments; see --help")
     if code == INTERRUPTED:
-        print("surgbench: interrupted; the same command again goes on from here", file=sys.stderr)
+        command = next((word for word in arguments if not word.startswith("-")), "")
+        again = "begins anew, nothing is left" if command in _WHOLE else "goes on from here"
+        print(f"surgbench: interrupted; the same command again {again}", file=sys.stderr)
     return code if isinstance(code, int) else 0
 
 

@@ -40,6 +40,7 @@ def generate(
     """Make a synthetic dataset: trajectories, masks, keypoints, joint readings, ground truth; or a wire chaser.
 
     Example: surgbench generate mini --out data/mini
+
     Example: surgbench generate occlusion --set occluders.tissue=0.4 --out data/occlusion-tissue-0.4
 
     The same preset and seed give the same bytes. After an interruption the same command goes on where it stopped.

@@ -35,6 +35,10 @@ def reproduce(
     check: Annotated[
         bool, typer.Option("--check", help="Run a part of a finished table again and compare; nothing is written.")
     ] = False,
+    row: Annotated[
+        list[str] | None,
+        typer.Option(metavar="ID", help="Run this row of a finished table again, and no other; may be given again."),
+    ] = None,
     render: Annotated[
         bool, typer.Option("--render", help="Only write the Markdown page again, from the files beside it.")
     ] = False,
@@ -73,8 +77,8 @@ def reproduce(
     from surgbench.reproduce.make import table_folder
     from surgbench.reproduce.screen import print_table
 
-    if sum((quick, check, render)) > 1:
-        raise ConfigError("--quick, --check and --render contradict each other; give one")
+    if sum((quick, check, render, bool(row))) > 1:
+        raise ConfigError("--quick, --check, --render and --row contradict each other; give one")
     if surgpose_masks is not None and surgpose is None:
         raise ConfigError("--surgpose-masks needs --surgpose DIR")
     definition = load_table(table if is_file(table) else _name(table, arms == "dual", surgpose is not None))
@@ -88,7 +92,7 @@ def reproduce(
     if render:
         print(render_page(definition, folder))
         return
-    results, failures = make_table(definition, place, data, workers, quick, maker, _Watcher())
+    results, failures = make_table(definition, place, data, workers, quick, maker, _Watcher(), row or ())
     print_table(definition, results, Console())
     for failure in failures:
         print(failure, file=sys.stderr)

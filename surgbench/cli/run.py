@@ -89,6 +89,8 @@ def run(
     check_output(out)
     planned = [job for one in complete_all(suite_.rows, suite_, data, overrides) for job in plan_jobs(one, data)]
     plan = make_plan(planned, out, retry_failed, again)
+    if plan.todo and not dry_run:
+        probe_output(out)
     words = f"{len(plan.todo) - plan.skipped} runs, {plan.frames} frames to track"
     if plan.skipped:
         words += f"; {plan.skipped} cannot be run here"
@@ -111,7 +113,6 @@ def run(
             failures.append(record)
 
     if plan.todo:
-        probe_output(out)
         with progress("frames", plan.frames) as bar:
             elsewhere = run_plan(plan, data, out, jobs, Run(bar, bar.stage), finished)
         if elsewhere:

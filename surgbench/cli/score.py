@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from pathlib import Path
 from typing import Annotated, Literal
@@ -41,12 +42,16 @@ def score(
     from surgbench.cli.progress import progress
     from surgbench.config import parse_model
     from surgbench.dataset.open import open_dataset
+    from surgbench.errors import ConfigError
+    from surgbench.kinds import NAME_PATTERN
     from surgbench.records.reader import read_records
     from surgbench.report.render import print_leaderboard
     from surgbench.report.rows import derive_rows, hints
     from surgbench.suite.asked import FileRequest
     from surgbench.suite.score import FileScore
 
+    if not re.fullmatch(NAME_PATTERN, name):
+        raise ConfigError(f"--name: must be letters, digits, '.', '_' and '-', not '{name}'")
     told = {"name": name, "time_column": time_ms, "arms": arms, "frames": frames, "joints": joints}
     asked = parse_model(FileRequest, {key: value for key, value in told.items() if value is not None}, "command line")
     work = FileScore(open_dataset(dataset), estimates, asked, out, again)

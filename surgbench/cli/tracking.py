@@ -34,7 +34,7 @@ class Tracking:
     """
 
     def __init__(self, scratch: Path, importer: str) -> None:
-        self._importer = importer
+        self._importer, self._pairs = importer, False
         self._data, self._runs, self._export, self._drawn = (
             scratch / name for name in ("dataset", "runs", "export", "video")
         )
@@ -49,6 +49,7 @@ class Tracking:
         Raises:
             SurgbenchError: Something in it is missing or wrong.
         """
+        self._pairs = options.get("arm") == "both" and not options.get("instances")
         importer = create(find("importer", self._importer), {"name": source.resolve().stem, **options})
         with progress("reading frames", importer.frames(source)) as advance:
             lines = importer.run(source, self._data, advance)
@@ -71,7 +72,8 @@ class Tracking:
             SurgbenchError: The tracker is not there, cannot run here, or fails.
         """
         row = {"readings": "noisy"} if joints else {}
-        suite = from_command_line(None, [tracker], row, {"timeout_s": PATIENCE_S})
+        conditions: dict[str, Any] = {"timeout_s": PATIENCE_S, **({"arms": "dual"} if self._pairs else {})}
+        suite = from_command_line(None, [tracker], row, conditions)
         planned = complete_all(suite.rows, suite, self._dataset, parse_sets(sets))
         todo = [job for one in planned for job in jobs(one, self._dataset)]
         for one in planned:

@@ -90,13 +90,13 @@ def train(
     size = settings.network.input_px
     identity = {"data": settings.data.model_dump(mode="json"), "masks": settings.masks.model_dump()}
     training = Training(out, settings.network, settings.training, settings.seed, device, identity, start)
-    if training.epoch:
-        say(f"{out}: goes on after {training.epoch} epochs")
     written = settings.model_dump(mode="json") | ({} if start is None else {"start_sha256": sha256_file(start)})
     config = (json.dumps(written, indent=1) + "\n").encode()
     if (out / WEIGHTS).exists() and not ((out / CONFIG).exists() and (out / CONFIG).read_bytes() == config):
         raise SurgbenchError(f"{out}: holds a model of other settings; give another folder, or remove it")
     write_atomic(out / CONFIG, config)
+    if training.epoch:
+        say(f"{out}: goes on after {training.epoch} epochs")
     if not training.done:
         parts = [settings.part(name) for name in ("training", "validation")]
         with progress("masks", sum(map(len, parts))) as bar:

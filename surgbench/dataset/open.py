@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -12,6 +11,7 @@ from pydantic import ValidationError
 from surgbench.dataset.base import Dataset
 from surgbench.dataset.manifest import FORMAT, MANIFEST_NAME, MARKER_NAME, Manifest
 from surgbench.errors import DatasetError, unknown_name
+from surgbench.syntax import parse_json
 from surgbench.task import default_task, find_task, task_names
 
 D = TypeVar("D", bound=Dataset[Any])
@@ -64,8 +64,8 @@ def read_manifest(folder: Path) -> tuple[Manifest, bytes]:
     except OSError as error:
         raise DatasetError(f"{path}: cannot be read ({error.strerror})") from None
     try:
-        raw = json.loads(data)
-    except (UnicodeDecodeError, json.JSONDecodeError) as error:
+        raw = parse_json(data)
+    except ValueError as error:
         raise DatasetError(f"{path}: not valid JSON ({error}); the file was truncated or altered") from None
     found = raw.get("format") if isinstance(raw, dict) else None
     if found != FORMAT:

@@ -181,7 +181,7 @@ def parse_objects(text: str | None) -> dict[int, Arm]:
     found: dict[int, Arm] = {}
     for part in () if text is None else text.split(","):
         number, _, arm = (word.strip() for word in part.partition("="))
-        if not number.isdigit() or arm not in ARMS:
+        if not number.isdecimal() or arm not in ARMS:
             raise ConfigError(f"--objects: must be like 1=left,2=right, not '{text}'")
         found[int(number)] = "left" if arm == "left" else "right"
     return found

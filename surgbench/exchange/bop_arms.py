@@ -15,6 +15,8 @@ from surgbench.state import STATE_SIZE
 from surgbench.tasks.instrument.format import ARMS, Arm
 
 # Files have so many digits, and models are rounded; states and poses that differ by more are not of one another.
+# Angles and metres of a state are not nearly as large.
+_LARGEST = 1e3
 AGREEMENT_M = 1e-5
 
 
@@ -87,6 +89,8 @@ def states_of_scene(
         try:
             rows = [next(one["state"] for one in entries if one["arm"] == arm) for entries in scene.joints]
             states[arm] = np.array(rows, dtype=np.float64).reshape(len(scene.images), STATE_SIZE)
+            if not (np.abs(states[arm]) < _LARGEST).all():
+                raise ValueError
         except (KeyError, StopIteration, TypeError, ValueError):
             raise DatasetError(f"{path}: must have 'arm' and nine numbers 'state' of each image and arm") from None
         _check(scene, arm, states[arm], arms, links, instruments[arm])
@@ -108,7 +112,7 @@ def _blocks(scene: Scene, place: int, links: Mapping[int, Link]) -> list[Arm | N
         seen.add(key)
         blocks.append(number)
     names = [one.get("arm") for one in scene.joints[place]]
-    if number + 1 != len(names) or not set(names) <= set(ARMS):
+    if number + 1 != len(names) or not all(name in ARMS for name in names):
         raise DatasetError(
             f"{scene.folder / JOINTS_FILE}: image {scene.images[place]}: arms {names} are not those of the objects"
         )

@@ -19,12 +19,12 @@ from surgbench.pictures import as_rgb
 from surgbench.recordings.coco_dataset import (
     CocoDataset,
     CocoImage,
-    find_coco,
     read_coco,
 )
 from surgbench.recordings.endovis import label_name
 from surgbench.recordings.files import read_picture
-from surgbench.recordings.names import time_of_frames
+from surgbench.recordings.json_file import find_json
+from surgbench.recordings.names import Timing, time_of_frames
 from surgbench.tasks.instrument.footage import Footage, Shot
 from surgbench.tasks.instrument.format import Arm
 from surgbench.tasks.instrument.imported import write_import
@@ -59,13 +59,13 @@ class CocoImporter(Plugin):
     def frames(self, source: Path) -> int:
         """How many images there are."""
         check_fps(self.config.fps)
-        return sum(map(len, read_coco(find_coco(source)).sequences.values()))
+        return sum(map(len, self._read(source).sequences.values()))
 
     def run(self, source: Path, out: Path, progress: Callable[[float], None]) -> list[str]:
         """Make the dataset; returns what was made of it, line by line."""
         config, lines = self.config, list[str]()
         check_fps(config.fps)
-        dataset = read_coco(find_coco(source))
+        dataset = self._read(source)
         kind_of = ObjectArms(dataset, config)
         tips = self._tips(dataset)
         if dataset.labels and tips is None:
@@ -85,6 +85,10 @@ class CocoImporter(Plugin):
         )
         return [*lines, *said]
 
+    @staticmethod
+    def _read(source: Path) -> CocoDataset:
+        return read_coco(find_json(source, "coco", "annotations.json", folders=(".", "annotations")))
+
     def _footage(
         self,
         dataset: CocoDataset,
@@ -100,7 +104,11 @@ class CocoImporter(Plugin):
             raise DatasetError(f"{dataset.path}: sequence '{name}': images are of {len(sizes)} different sizes")
         camera = config.read(folder, images[0].size, lines.append)
         pictures = None if config.without_images else self._pictures(folder, images)
-        timing = time_of_frames([image.number for image in images], dataset.path, "auto", config.fps)
+        told = [image.time_s for image in images if image.time_s is not None]
+        if config.fps is None and 1 < len(told) == len(images) and (np.diff(told) > 0).all():
+            timing = Timing(np.array(told) - told[0], float(np.median(np.diff(told))), None)
+        else:
+            timing = time_of_frames([image.number for image in images], dataset.path, "auto", config.fps)
         if timing.said is not None:
             lines.append(f"{name}: {timing.said}")
         labels = kind_of.points(images, hidden=True)

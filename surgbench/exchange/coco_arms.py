@@ -13,7 +13,8 @@ from surgbench.contract import Mask
 from surgbench.errors import ConfigError, DatasetError
 from surgbench.exchange.footage_options import Arms
 from surgbench.geometry import FloatArray
-from surgbench.recordings.coco_dataset import TRACK_KEYS, CocoDataset, CocoImage, by_name_or_id
+from surgbench.recordings.coco_dataset import CocoDataset, CocoImage, by_name_or_id
+from surgbench.recordings.coco_video import TRACK_KEYS
 from surgbench.tasks.instrument.footage import BOTH
 from surgbench.tasks.instrument.format import ARMS, Arm, MaskKind
 
@@ -113,12 +114,12 @@ class ObjectArms:
             by_category = by_name_or_id(config.categories, "--categories", dataset.categories, ARMS)
             return lambda one: by_category.get(one["category_id"])  # type: ignore[return-value]
         if config.tracks is not None:
-            key = next((key for key in TRACK_KEYS if any(key in one for one in objects)), None)
+            key = _track_key(objects)
             if key is None:
                 raise ConfigError(f"--tracks: objects in {dataset.path} have no {' or '.join(TRACK_KEYS)}")
-            tracks = sorted({one[key] for one in objects if isinstance(one.get(key), int)})
-            by_track = by_name_or_id(config.tracks, "--tracks", dict.fromkeys(tracks, key), ARMS)
-            return lambda one: by_track.get(one.get(key, -1))  # type: ignore[return-value]
+            tracks = {one[key] for one in objects if isinstance(one.get(key), int | str)}
+            by_track = by_name_or_id(config.tracks, "--tracks", dict.fromkeys(sorted(tracks, key=str), key), ARMS)
+            return lambda one: by_track.get(one.get(key))  # type: ignore[return-value]
         if config.arm == BOTH:
             return lambda one: BOTH
         if all(one.get(ARM_KEY) in (*ARMS, BOTH) for one in objects):
@@ -137,9 +138,16 @@ class ObjectArms:
         kinds = [(kind, one["category_id"]) for kind, one in self.of(image)]
         for kind, category in kinds:
             if kind != BOTH and kinds.count((kind, category)) > 1 and not self._config.pieces:
-                name = self._dataset.categories[category]
+                key = _track_key(image.objects) if self._config.tracks is None else None
+                first, second, *_ = (*(one.get(key) for one in image.objects if key in one), None, None)
+                tracks = "" if second is None else f"--tracks {first}=left,{second}=right tells two instruments apart, "
                 raise ConfigError(
-                    f"{self._dataset.path}: '{image.name}' has {kinds.count((kind, category))} objects '{name}' of one "
-                    "arm; --tracks 1=left,2=right tells two instruments apart, --pieces joins parts of one, --arms "
+                    f"{self._dataset.path}: '{image.name}' has {kinds.count((kind, category))} objects "
+                    f"'{self._dataset.categories[category]}' of one arm; {tracks}--pieces joins parts of one, --arms "
                     "both makes one mask of all"
                 )
+
+
+def _track_key(objects: Sequence[Mapping[str, Any]]) -> str | None:
+    """What follows objects from image to image, where something does."""
+    return next((key for key in TRACK_KEYS if any(key in one for one in objects)), None)

@@ -17,9 +17,10 @@ from surgbench.exchange.footage_options import FrameOptions, Masked
 from surgbench.exchange.masks import SEQUENCE_ID
 from surgbench.geometry import FloatArray
 from surgbench.pictures import PICTURE_SUFFIXES, as_rgb
-from surgbench.recordings.endovis import MarkedPoints, find_labels, read_points
+from surgbench.recordings.endovis import MarkedPoints, read_points
 from surgbench.recordings.files import read_picture
 from surgbench.recordings.frame_masks import picture_size
+from surgbench.recordings.json_file import find_json
 from surgbench.recordings.names import number_files
 from surgbench.tasks.instrument.footage import Footage
 from surgbench.tasks.instrument.format import ARMS, Arm
@@ -57,15 +58,20 @@ class EndoVisImporter(Plugin):
 
     def frames(self, source: Path) -> int:
         """How many pictures the labels are of."""
-        return len(read_points(find_labels(source)).names)
+        return len(self._read(source).names)
+
+    @staticmethod
+    def _read(source: Path) -> MarkedPoints:
+        return read_points(find_json(source, "endovis", "labels.json"))
 
     def run(self, source: Path, out: Path, progress: Callable[[float], None]) -> list[str]:
         """Make the dataset; returns what was made of it, line by line."""
         config, lines = self.config, list[str]()
-        points = read_points(find_labels(source))
+        points = self._read(source)
         folder = points.path.parent
-        numbered = number_files(map(Path, points.names))
-        order = [points.names.index(str(path)) for path in numbered.values()]
+        places = {folder / name: place for place, name in enumerate(points.names)}
+        numbered = number_files(places)
+        order = [places[path] for path in numbered.values()]
         pictures = self._pictures(folder, [Path(points.names[place]).name for place in order])
         size = None if pictures is None else picture_size(pictures[0])
         camera = config.read(folder, size, lines.append)

@@ -72,7 +72,7 @@ def _read_file(path: Path, trajectories: Sequence[str]) -> dict[str, dict[str, f
         raise ConfigError(f"--lag: '{path}' is no number of frames, and no CSV file that can be read") from None
     if not rows or [cell.strip() for cell in rows[0]] != COLUMNS:
         raise DatasetError(f"{path}: line 1 must be '{','.join(COLUMNS)}'")
-    names = {name: name for name in trajectories} | {str(int(name)): name for name in trajectories if name.isdigit()}
+    names = {name: name for name in trajectories} | {str(int(name)): name for name in trajectories if name.isdecimal()}
     lags: dict[str, dict[str, float]] = {}
     for line, cells in enumerate(rows[1:], start=2):
         if not any(cell.strip() for cell in cells):

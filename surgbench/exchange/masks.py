@@ -14,6 +14,7 @@ from surgbench.camera.options import CameraOptions
 from surgbench.contract import Mask, Plugin
 from surgbench.dataset.storage import check_new
 from surgbench.errors import ConfigError
+from surgbench.exchange.jaws import check_jaws
 from surgbench.exchange.mask_options import MaskOptions
 from surgbench.geometry import FloatArray
 from surgbench.instrument import load_instrument
@@ -24,12 +25,14 @@ from surgbench.recordings.coding import WHOLE, Coding, Told, read_coding
 from surgbench.recordings.files import read_picture
 from surgbench.recordings.folder import Recording, find_masks, open_masks, read_recording, recording_folder
 from surgbench.recordings.names import Stamps
-from surgbench.recordings.shares import Shares
+from surgbench.recordings.shares import Nearness, Shares
 from surgbench.tasks.instrument.footage import BOTH, Footage, Shot
 from surgbench.tasks.instrument.format import ARMS, ROBOT_ARM, Arm, MaskKind
 from surgbench.tasks.instrument.imported import write_import
 
 SEQUENCE_ID = "000"
+# From one picture in a quarter of an hour to what no camera of a robot reaches.
+_SLOWEST_FPS, _FASTEST_FPS = 0.001, 100_000.0
 
 Arms = Literal["left", "right", "both"]
 
@@ -80,12 +83,15 @@ def import_masks(
     told = told or Told(several=arm == BOTH)
     check_new(out)
     model = load_instrument(instrument)
+    if told.instances and arm == "right" and "left" in told.instances:
+        raise ConfigError("--arms right, and --instances has a left one too; leave --arms away")
     arms = arms_of(arm, told)
     recording = read_recording(
         source, model, optics, beside, arms=arms, single_images=single_images, stamps=stamps, fps=fps
     )
     coding = read_coding(recording.masks, told)
     robot_arm = load_arm((beside or BesideOptions()).robot_arm) if recording.arm_joints is not None else None
+    jaws_said = check_jaws(recording, coding, model, arms)
     reading = _Reading(recording, coding, arms)
     count = len(recording.numbers)
     summary = f"{count} masks, {coding.said}"
@@ -108,9 +114,9 @@ def import_masks(
         progress=progress,
         tell=False,
     )
-    for line in (f"{summary}, {reading.shares.said}", *recording.notes):
+    for line in (f"{summary}, {reading.shares.said}", *recording.notes, *jaws_said):
         say(line)
-    for line in (*coding.warnings, *reading.shares.warnings(one_arm=len(arms) == 1)):
+    for line in (*coding.warnings, *reading.shares.warnings(one_arm=len(arms) == 1), *reading.nearness.warnings()):
         say(f"warning: {line}")
     return count
 
@@ -120,6 +126,7 @@ class _Reading:
 
     Attributes:
         shares: How much of the masks read so far is instrument.
+        nearness: Whether the tips lie where it is.
     """
 
     def __init__(self, recording: Recording, coding: Coding, arms: tuple[Arm, ...]) -> None:
@@ -127,6 +134,7 @@ class _Reading:
         self._kinds: tuple[MaskKind, ...] = (BOTH,) if len(arms) > 1 and coding.groups.keys() == {WHOLE} else arms
         self._pictures = recording.masks.pictures()
         self.shares = Shares()
+        self.nearness = Nearness(recording.camera.width, recording.camera.height)
 
     def footage(self, part: list[int], sequence_id: str) -> Footage:
         """A sequence of some frames, by their places, which come after those of the sequences before."""
@@ -154,6 +162,8 @@ class _Reading:
         recording = self._recording
         found = self._coding.masks(next(self._pictures))
         self.shares.add(np.logical_or.reduce(list(found.values())), recording.numbers[index])
+        for arm, tips in (recording.tips or {}).items():
+            self.nearness.add(found[WHOLE if WHOLE in found else arm], tips[index])
         masks: dict[str, Mask] = {kind: found[WHOLE if WHOLE in found else kind] for kind in self._kinds}
         if recording.images is None:
             return Shot(masks)
@@ -169,6 +179,8 @@ def check_fps(fps: float | None) -> None:
     """
     if fps is not None and not (math.isfinite(fps) and fps > 0):
         raise ConfigError(f"--fps: must be greater than 0, not {fps:g}")
+    if fps is not None and not _SLOWEST_FPS <= fps <= _FASTEST_FPS:
+        raise ConfigError(f"--fps: {fps:g} frames per second; plausible is {_SLOWEST_FPS:g} to {_FASTEST_FPS:g}")
 
 
 def arms_of(arm: Arms, told: Told) -> tuple[Arm, ...]:

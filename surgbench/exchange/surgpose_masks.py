@@ -20,8 +20,14 @@ from surgbench.tasks.instrument.format import MaskKind
 class ArmMasks:
     """What there is of a trajectory: ``PSM1`` and ``PSM3``, each a folder of pictures, a video, or a JSON file of RLE.
 
-    They lie in ``MASKS/<trajectory>`` where ``--masks`` names a folder, else in the trajectory's own. Frames that lack
-    a mask of an arm are left out.
+    Frames that lack a mask of an arm are left out.
+
+    Args:
+        options: What was told of them.
+        place: The folder that holds them; the trajectory's own unless one was told, and then there may be none.
+        name: The trajectory.
+        size: Width and height of the pictures.
+        numbers: Of the frames.
 
     Attributes:
         frames: That are kept.
@@ -30,9 +36,9 @@ class ArmMasks:
     """
 
     def __init__(
-        self, options: FrameOptions, folder: Path, name: str, size: tuple[int, int], numbers: Sequence[int]
+        self, options: FrameOptions, place: Path, name: str, size: tuple[int, int], numbers: Sequence[int]
     ) -> None:
-        place = folder if options.masks is None else options.masks / name
+        self.place = place
         self.frames = list(range(len(numbers)))
         self.lines: list[str] = []
         self._masks: dict[MaskKind, FrameMasks] = {}
@@ -50,19 +56,43 @@ class ArmMasks:
             self.lines.append(f"{name}/{found.name}: {len(masks.frames)} masks, {masks.coding.said}")
             self.lines += [f"warning: {line}" for line in masks.coding.warnings]
         self.kinds: tuple[MaskKind, ...] = tuple(self._masks)
-        if options.masks is not None and not self._masks:
-            raise DatasetError(f"{place}: holds neither PSM1 nor PSM3 (folders of pictures, videos, or JSON files)")
         if not self.frames:
             raise DatasetError(f"{place}: no frame has masks of both arms")
-        if len(self.frames) < len(numbers):
-            self.lines.append(f"{name}: {len(numbers) - len(self.frames)} frames lack a mask, and are left out")
+
+    def must_be_there(self) -> None:
+        """Where somebody said that they are.
+
+        Raises:
+            DatasetError: There are none; one line.
+        """
+        if not self._masks:
+            raise DatasetError(
+                f"{self.place}: holds neither PSM1 nor PSM3 (folders of pictures, videos, or JSON files)"
+            )
+
+    def keep_as(self, other: ArmMasks) -> None:
+        """Keep only frames that another camera's masks have too.
+
+        Raises:
+            DatasetError: Those are of other arms, or there is no such frame; one line.
+        """
+        if other.kinds != self.kinds:
+            own, theirs = (" and ".join(ARMS[arm] for arm in one._masks) or "none" for one in (self, other))
+            raise DatasetError(f"{other.place}: has masks of {theirs}, {self.place} of {own}; both need the same")
+        self.frames = other.frames = sorted(set(self.frames) & set(other.frames))
+        if not self.frames:
+            raise DatasetError(f"{other.place}: has masks of none of the frames that {self.place} has masks of")
+
+    def masks(self) -> Iterator[dict[str, Mask]]:
+        """Of each kept frame, by arm."""
+        of_arms = {arm: own.at(self.frames) for arm, own in self._masks.items()}
+        for _ in self.frames:
+            yield {arm: next(own)[WHOLE] for arm, own in of_arms.items()}
 
     def shots(self, images: Images) -> Iterator[Shot]:
         """All kept frames."""
-        masks = {arm: own.at(self.frames) for arm, own in self._masks.items()}
-        for image in images(self.frames):
-            shown: dict[str, Mask] = {arm: next(own)[WHOLE] for arm, own in masks.items()}
-            yield Shot(shown, image)
+        # A video may end early; who writes them counts.
+        return (Shot(masks, image) for image, masks in zip(images(self.frames), self.masks(), strict=False))
 
 
 def _find(place: Path, name: str) -> Path | None:

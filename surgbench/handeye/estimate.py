@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from surgbench.geometry import FloatArray
 from surgbench.handeye.align import Frames, align
-from surgbench.handeye.motion import LEAST_FRAMES, Motion, TooLittleMotionError, measure_motion
+from surgbench.handeye.motion import LEAST_FRAMES, WORST_RESOLUTION_FRAMES, Motion, TooLittleMotionError, measure_motion
 from surgbench.handeye.track import ReadingTrack
 
 # Three seconds of 30 frames: what users of published recordings met was less (SurgPose: up to 71 frames).
@@ -111,7 +111,10 @@ def estimate_hand_eye(
     motion = measure_motion(track, times_s, dt_s, max_lag_frames)
     if not motion.is_enough:
         few = f"{motion.frames} frames with readings; " if motion.frames < LEAST_FRAMES else ""
-        raise TooLittleMotionError(f"the arm moves too little to judge by: {few}{motion}")
+        raise TooLittleMotionError(
+            f"the arm moves too little to judge by: {few}{motion}; it must be to {WORST_RESOLUTION_FRAMES:g}, as of a "
+            "longer or livelier recording"
+        )
     found = align(Frames(times_s[usable], tracked[usable], track, dt_s), max_lag_frames)
     whole = Frames(times_s, tracked, track, dt_s).known(found.lag_frames)
     off = np.full((len(times_s), 6), np.nan)

@@ -15,7 +15,8 @@ from surgbench.config import Section
 from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument
 from surgbench.instrument.arms import DEFAULT_ARM
-from surgbench.recordings.readings import AngleUnit, Jaw, Readings, read_joints
+from surgbench.recordings.arm_columns import Whose, parse_arm_names
+from surgbench.recordings.readings import AngleUnit, Jaw, Readings, UntoldJaw, read_joints
 from surgbench.recordings.tips import Tips, TipsUnit, read_tips
 
 JOINTS_FILE, TIPS_FILE = "joints.csv", "tips.csv"
@@ -44,7 +45,14 @@ class BesideOptions(RobotArmOption):
         Jaw | None,
         Field(
             description="The jaw in joints.csv: half, each jaw's angle from the midline, or full, the angle between "
-            "both, as the dVRK has it; default: half for a column q3, full for a column jaw."
+            "both, as the dVRK has it; default: as the masks say, with half for a column q3 and full for a column jaw."
+        ),
+    ] = None
+    arm_names: Annotated[
+        str | None,
+        Field(
+            description="NAMES of the arms in joints.csv and tips.csv, in its columns (PSM1_yaw) or in a column arm, "
+            "as PSM1=right,PSM3=left."
         ),
     ] = None
     joints_arm: Annotated[
@@ -70,12 +78,14 @@ class Beside:
         arm_joints: ``(frames, 6)`` the arm's joints, rad and (insertion) m.
         tips: ``(frames, 2, 2)`` pixels of the recording's pictures, NaN where a tip was not marked.
         notes: A line for each file, and arm where there are two, that says how it was read.
+        jaws: By arm, what is left to be doubted of its jaw.
     """
 
     joints: dict[str, FloatArray] | None
     arm_joints: dict[str, FloatArray] | None
     tips: dict[str, FloatArray] | None
     notes: tuple[str, ...]
+    jaws: dict[str, UntoldJaw]
 
 
 def read_beside(
@@ -96,7 +106,7 @@ def read_beside(
         camera: Of the recording's pictures.
         instrument: Of the arms whose joints and tips they are.
         options: What is told of them.
-        arms: That the recording shows; with two, columns begin with an arm's name (``left_q1``).
+        arms: That the recording shows; with two, tables say whose a column or a row is (``left_q1``).
         maskless: Frames without a mask, whose rows are left out.
 
     Raises:
@@ -104,8 +114,9 @@ def read_beside(
     """
     readings: dict[str, Readings] = {}
     tips: dict[str, Tips] = {}
+    names = parse_arm_names(options.arm_names)
     for arm in arms:
-        whose = arm if len(arms) > 1 else ""
+        whose = Whose(arm, len(arms) > 1, names)
         read = read_joints(
             source / JOINTS_FILE,
             numbers,
@@ -128,6 +139,7 @@ def read_beside(
         if any(one is not None for one in points.values())
         else None,
         (*(one.note for one in readings.values()), *(one.note for one in tips.values())),
+        {arm: one.jaw for arm, one in readings.items() if one.jaw is not None},
     )
 
 

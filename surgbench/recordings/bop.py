@@ -168,6 +168,8 @@ def read_scene(folder: Path) -> Scene:
     if (folder / JOINTS_FILE).is_file():
         by_image = _by_image(folder / JOINTS_FILE)
         joints = [by_image.get(image, []) for image in images]
+        if not all(isinstance(own, list) and all(isinstance(one, dict) for one in own) for own in joints):
+            raise DatasetError(f"{folder / JOINTS_FILE}: must have a list of 'arm' and 'state' of each image")
     return Scene(folder, images, matrices[0], objects, poses, joints)
 
 

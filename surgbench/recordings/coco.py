@@ -1,10 +1,10 @@
-"""Masks as RLE or polygons in a JSON file: a COCO dataset, COCO results, or one RLE per frame."""
+"""Masks as RLE or polygons in a JSON file: a COCO dataset, of videos too, COCO results, or one RLE per frame."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from surgbench.errors import DatasetError
 from surgbench.geometry import FloatArray
 from surgbench.pictures import MAX_SIDE
+from surgbench.recordings.coco_video import TRACK_KEYS, by_images
 from surgbench.recordings.json_file import read_json
 from surgbench.recordings.names import number_files
 from surgbench.recordings.rle import decode_segmentation
@@ -22,14 +23,27 @@ _SHAPES = (
 )
 _MOST_CATEGORIES = (1 << 16) - 1
 
-Object = tuple[int, Any]  # category and segmentation
+
+class Object(NamedTuple):
+    """An object in a frame.
+
+    Attributes:
+        category: Its kind.
+        track: The number that follows it from frame to frame, where it has one.
+        segmentation: Polygons or RLE.
+    """
+
+    category: int
+    track: Any
+    segmentation: Any
 
 
 class MaskJson:
     """A JSON file of masks; see :class:`surgbench.recordings.survey.MaskSource`.
 
     A pixel's value is the category of the object that is there, the last one of several; 1 where there are no
-    categories. Frames without an object are empty.
+    categories. Where a frame has several objects of a category, and all objects have a ``track_id``, it is that, so
+    that two instruments of a kind are told apart over time. Frames without an object are empty.
 
     Args:
         path: The file.
@@ -43,8 +57,8 @@ class MaskJson:
         self.place = path
         self.lossy: str | None = None
         self.times_s: FloatArray | None = None
-        content = read_json(path)
         try:
+            content = by_images(read_json(path))
             frames = _frames(content)
             self.size = size or _stated_size(content, frames)
             if self.size is not None:
@@ -60,6 +74,8 @@ class MaskJson:
         self.names = [one.stem for one in paths.values()]
         self._objects = [frames[str(one)] for one in paths.values()]
         self.several = self._several()
+        if self.several is not None and all(one.track is not None for one in self._all()):
+            self._by_track()
 
     def pictures(self) -> Iterator[NDArray[Any]]:
         """Each frame's categories, ``(height, width)`` uint16.
@@ -72,19 +88,41 @@ class MaskJson:
         width, height = self.size
         for number, objects in zip(self.numbers, self._objects, strict=True):
             picture = np.zeros((height, width), np.uint16)
-            for category, segmentation in objects:
+            for one in objects:
                 try:
-                    picture[decode_segmentation(segmentation, height, width)] = category
+                    picture[decode_segmentation(one.segmentation, height, width)] = one.category
                 except ValueError as error:
                     raise DatasetError(f"{self.place}: frame {number}: {error}") from None
             yield picture
 
-    def _several(self) -> str | None:
+    def _all(self) -> Iterator[Object]:
+        return (one for objects in self._objects for one in objects)
+
+    def _by_track(self) -> None:
+        """Take tracks for categories.
+
+        Raises:
+            DatasetError: One cannot be a pixel's value; one line that names the way on.
+        """
+        tracks = {one.track for one in self._all()}
+        wrong = [track for track in tracks if not isinstance(track, int) or not 0 < track <= _MOST_CATEGORIES]
+        if wrong:
+            told = ",".join(
+                f"{track}={arm}" for track, arm in zip(sorted(map(str, tracks)), ("left", "right"), strict=False)
+            )
+            raise DatasetError(
+                f"{self.place}: {self.several}, and the track_id {wrong[0]!r} of one cannot be a pixel's value; "
+                f"surgbench import coco --tracks {told} takes such"
+            )
+        self._objects = [[one._replace(category=one.track) for one in objects] for objects in self._objects]
+        self.several = self._several("of track_id")
+
+    def _several(self, of: str = "of category") -> str | None:
         for number, objects in zip(self.numbers, self._objects, strict=True):
-            categories = [category for category, _ in objects]
+            categories = [one.category for one in objects]
             for category in categories:
                 if categories.count(category) > 1:
-                    return f"frame {number} has {categories.count(category)} objects of category {category}"
+                    return f"frame {number} has {categories.count(category)} objects {of} {category}"
         return None
 
 
@@ -94,8 +132,8 @@ def _stated_size(content: Any, frames: dict[str, list[Object]]) -> tuple[int, in
         if isinstance(image.get("width"), int) and isinstance(image.get("height"), int):
             return image["width"], image["height"]
     for objects in frames.values():
-        for _, segmentation in objects:
-            size = segmentation.get("size") if isinstance(segmentation, dict) else None
+        for one in objects:
+            size = one.segmentation.get("size") if isinstance(one.segmentation, dict) else None
             if isinstance(size, list) and len(size) == 2 and all(isinstance(one, int) and one > 0 for one in size):
                 return size[1], size[0]
     return None
@@ -140,7 +178,8 @@ def _object(annotation: dict[str, Any]) -> Object:
     category = annotation.get("category_id", 1)
     if not isinstance(category, int) or not 0 < category <= _MOST_CATEGORIES:
         raise ValueError(f"'category_id' must be 1 to {_MOST_CATEGORIES}, not {category!r}")
-    return category, annotation["segmentation"]
+    track = next((annotation[key] for key in TRACK_KEYS if key in annotation), None)
+    return Object(category, track, annotation["segmentation"])
 
 
 def _objects(one: Any) -> list[Object]:
@@ -148,4 +187,4 @@ def _objects(one: Any) -> list[Object]:
     rles = one if isinstance(one, list) else [] if one is None else [one]
     if not all("counts" in rle for rle in rles):
         raise KeyError("counts")
-    return [(1, rle) for rle in rles]
+    return [Object(1, None, rle) for rle in rles]

@@ -12,14 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surgbench.errors import ConfigError, DatasetError
-from surgbench.leftovers import without_leftovers
+from surgbench.recordings.coco_video import by_images
 from surgbench.recordings.endovis import label_name
 from surgbench.recordings.json_file import read_json
 from surgbench.recordings.names import number_files
 from surgbench.recordings.rle import decode_segmentation
 
-# What others call the number of an object that stays the same from image to image.
-TRACK_KEYS = ("track_id", "instance_id", "object_id")
+TIME_KEY = "timestamp_s"
 _FRAME_KEYS = ("frame", "frame_id", "frame_index")
 
 
@@ -31,12 +30,14 @@ class CocoImage:
         name: As ``file_name`` has it.
         number: Of the frame in its sequence.
         size: Width and height.
+        time_s: When it was taken, where it says so.
         objects: Annotations.
     """
 
     name: str
     number: int
     size: tuple[int, int]
+    time_s: float | None = None
     objects: list[dict[str, Any]] = field(default_factory=list)
 
 
@@ -97,36 +98,17 @@ class CocoDataset:
         }
 
 
-def find_coco(source: Path) -> Path:
-    """The file of a COCO dataset: the source itself, or the only one in it or in its ``annotations``.
-
-    Raises:
-        DatasetError: There is none, or several; one line.
-    """
-    if not source.exists():
-        raise DatasetError(f"{source}: no such file or folder; expected a COCO dataset (annotations.json)")
-    if not source.is_dir():
-        return source
-    places = [place for place in (source, source / "annotations") if place.is_dir()]
-    found = [
-        path for place in places for path in sorted(without_leftovers(place.glob("*.json"))) if path.stem != "camera"
-    ]
-    if len(found) != 1:
-        raise DatasetError(f"{source}: holds {len(found)} JSON files; say which one: import coco FILE")
-    return found[0]
-
-
 def read_coco(path: Path) -> CocoDataset:
     """Read a COCO dataset.
 
     Images of one ``sequence`` or ``video_id``, or else of one folder, follow one another by ``frame``, ``frame_id`` or
-    the number in their names.
+    the number in their names. Datasets of YouTube-VIS are read too (:mod:`surgbench.recordings.coco_video`).
 
     Raises:
         DatasetError: It is something else; one line.
     """
-    content = read_json(path)
     try:
+        content = by_images(read_json(path))
         categories = {one["id"]: str(one["name"]) for one in content.get("categories", [])}
         keypoints = {
             one["id"]: list(map(label_name, one.get("keypoints", []))) for one in content.get("categories", [])
@@ -141,12 +123,14 @@ def read_coco(path: Path) -> CocoDataset:
         raise DatasetError(f"{path}: a COCO dataset must have {error} (images, annotations, categories)") from None
     except (TypeError, AttributeError):
         raise DatasetError(f"{path}: must be a COCO dataset (a mapping with images, annotations, categories)") from None
+    except ValueError as error:
+        raise DatasetError(f"{path}: {error}") from None
     if not sequences:
         raise DatasetError(f"{path}: holds no images")
     return CocoDataset(path, sequences, categories, keypoints)
 
 
-def by_name_or_id(text: str, option: str, categories: Mapping[int, str], arms: tuple[str, ...]) -> dict[int, str]:
+def by_name_or_id(text: str, option: str, categories: Mapping[Any, str], arms: tuple[str, ...]) -> dict[Any, str]:
     """Categories to arms, as in ``scissors=left,2=right``; several may be of one arm.
 
     Raises:
@@ -185,6 +169,19 @@ def _sequence_id(key: str, grouped: Mapping[str, Any]) -> str:
     return "000"
 
 
+def _time(image: Mapping[str, Any]) -> float | None:
+    """In seconds, as surgbench's own export says it."""
+    time_s = image.get(TIME_KEY)
+    return float(time_s) if isinstance(time_s, int | float) and np.isfinite(time_s) else None
+
+
+def _size(path: Path, image: dict[str, Any]) -> tuple[int, int]:
+    size = image.get("width"), image.get("height")
+    if not all(isinstance(side, int | float) and float(side).is_integer() and side > 0 for side in size):
+        raise DatasetError(f"{path}: '{image['file_name']}': 'width' and 'height' must be pixels, not {size}")
+    return int(image["width"]), int(image["height"])
+
+
 def _in_order(path: Path, images: list[dict[str, Any]], objects: dict[Any, list[dict[str, Any]]]) -> list[CocoImage]:
     key = next((key for key in _FRAME_KEYS if all(isinstance(one.get(key), int) for one in images)), None)
     if key is None:
@@ -195,6 +192,6 @@ def _in_order(path: Path, images: list[dict[str, Any]], objects: dict[Any, list[
     if len(numbered) < len(images):
         raise DatasetError(f"{path}: two images are the same frame of '{images[0]['file_name']}' and those beside it")
     return [
-        CocoImage(str(one["file_name"]), number, (int(one["width"]), int(one["height"])), objects[one["id"]])
+        CocoImage(str(one["file_name"]), number, _size(path, one), _time(one), objects[one["id"]])
         for number, one in numbered.items()
     ]

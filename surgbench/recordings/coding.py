@@ -282,13 +282,15 @@ class _Decision:
         return f"{write_code(largest[0])}=left,{write_code(largest[1])}=right"
 
     def _rare(self) -> str:
-        """Which value is in few masks or pixels, as by a slip of whoever drew them."""
+        """Which value is in few masks, as by a slip of whoever drew them; and how to do without it."""
         rarest = min(self._foreground(), key=self._weight)
         pixels, masks = self._tally.pixels[rarest], self._tally.frames[rarest]
-        if pixels > 0.01 * self._tally.total or masks > max(1, len(self._source.numbers) // 4):
+        if masks > max(1, len(self._source.numbers) // 4):
             return ""
         where = f"{masks} masks" if masks > 1 else f"the mask of frame {self._tally.first[rarest]}"
-        return f"({write_code(rarest)} are {pixels} pixels in {where}) "
+        others = [code for code in self._foreground() if code != rarest]
+        without = f"; without: --label {write_codes(others, ',')}" if others else ""
+        return f"({write_code(rarest)} are {pixels} pixels in {where}{without}) "
 
 
 def _among(codes: NDArray[Any], wanted: Iterable[int]) -> Mask:

@@ -12,7 +12,6 @@ import numpy as np
 
 from surgbench.errors import DatasetError
 from surgbench.geometry import FloatArray
-from surgbench.leftovers import without_leftovers
 from surgbench.recordings.json_file import read_json
 
 _EXPECTED = "a list of pictures, each with 'filename' and 'annotations' ('class', 'id', 'x', 'y')"
@@ -41,23 +40,6 @@ class MarkedPoints:
         """How many pictures have any point."""
         points = [own for by_tool in self.labels.values() for own in by_tool.values()]
         return int((~np.isnan(np.stack(points)).any(axis=2)).any(axis=0).sum()) if points else 0
-
-
-def find_labels(source: Path) -> Path:
-    """The file of labels: the source itself, ``labels.json`` in it, or its only JSON file but the camera's.
-
-    Raises:
-        DatasetError: There is none, or several; one line.
-    """
-    if not source.exists():
-        raise DatasetError(f"{source}: no such file or folder; expected labels.json")
-    if not source.is_dir():
-        return source
-    found = [path for path in sorted(without_leftovers(source.glob("*.json"))) if path.name != "camera.json"]
-    named = [path for path in found if path.stem == "labels"] or found
-    if len(named) != 1:
-        raise DatasetError(f"{source}: holds {len(named)} JSON files; say which has the points: import endovis FILE")
-    return named[0]
 
 
 def read_points(path: Path) -> MarkedPoints:

@@ -15,6 +15,9 @@ from surgbench.leftovers import without_leftovers
 from surgbench.pictures import JPEG_SIGNATURE, PICTURE_SUFFIXES, decode_picture, stated_size
 from surgbench.recordings.names import number_files
 
+# Pictures that are not read: where there are others, a frame must not be missing without a word.
+_OTHER_PICTURES = (".bmp", ".tif", ".tiff", ".gif", ".webp", ".pgm", ".ppm", ".jp2", ".npy", ".exr")
+
 
 def numbered_pictures(folder: Path, what: str) -> dict[int, Path]:
     """Pictures of a folder by the numbers in their names, in order.
@@ -24,10 +27,18 @@ def numbered_pictures(folder: Path, what: str) -> dict[int, Path]:
         what: What they are, for the message, for example ``masks``.
 
     Raises:
-        DatasetError: There are none, a name has no number, or two have the same.
+        DatasetError: There are none, one cannot be read, a name has no number, or two have the same.
     """
     entries = sorted(without_leftovers(folder.iterdir()))
-    pictures = [path for path in entries if path.suffix.lower() in PICTURE_SUFFIXES and path.is_file()]
+    pictures = [path for path in entries if path.suffix.lower() in PICTURE_SUFFIXES]
+    other = next((path for path in entries if path.suffix.lower() in _OTHER_PICTURES), None)
+    if pictures and other is not None:
+        raise DatasetError(f"{other}: is neither PNG nor JPEG, as others there are; convert it or move it away")
+    broken = next((path for path in pictures if not path.is_file()), None)
+    if broken is not None:
+        raise DatasetError(
+            f"{broken}: {'leads nowhere' if broken.is_symlink() else 'is no file'}; {what} must be files"
+        )
     if not pictures:
         found = f"; '{entries[0].name}' is neither PNG nor JPEG" if entries else ""
         raise DatasetError(f"{folder}: holds no {what}; expected 000000.png, 000001.png, ...{found}")

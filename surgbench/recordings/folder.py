@@ -20,6 +20,7 @@ from surgbench.recordings.beside import BesideOptions, read_beside
 from surgbench.recordings.coco import MaskJson
 from surgbench.recordings.files import MaskFiles, numbered_pictures
 from surgbench.recordings.names import Stamps, Timing, check_stray, time_of_frames
+from surgbench.recordings.readings import UntoldJaw
 from surgbench.recordings.survey import MaskSource
 from surgbench.recordings.video import VIDEO_SUFFIXES, MaskVideo
 
@@ -39,6 +40,7 @@ class Recording:
         arm_joints: Arm to ``(frames, 6)`` readings of all its joints, or ``None``.
         tips: Arm to ``(frames, 2, 2)`` tip pixels, NaN where missing, or ``None``.
         notes: What is to be told of it, one line each.
+        jaws: Arm to what is left to be doubted of its readings, by the masks.
     """
 
     masks: MaskSource
@@ -49,6 +51,7 @@ class Recording:
     arm_joints: dict[str, FloatArray] | None
     tips: dict[str, FloatArray] | None
     notes: list[str] = field(default_factory=list)
+    jaws: dict[str, UntoldJaw] = field(default_factory=dict)
 
     @property
     def numbers(self) -> list[int]:
@@ -112,7 +115,7 @@ def read_recording(
     lost = sum(_lost(points, camera) for points in (beside.tips or {}).values())
     if lost:
         notes.append(f"tips.csv: {lost} tips lie outside of what an undistorted picture holds, and are left out")
-    return Recording(masks, timing, images, camera, beside.joints, beside.arm_joints, beside.tips, notes)
+    return Recording(masks, timing, images, camera, beside.joints, beside.arm_joints, beside.tips, notes, beside.jaws)
 
 
 def recording_folder(source: Path) -> Path:

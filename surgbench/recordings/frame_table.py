@@ -7,13 +7,14 @@ import csv
 import math
 import re
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from surgbench.errors import DatasetError
 from surgbench.geometry import FloatArray
+from surgbench.recordings.names import number_of
 
 FRAME_NAMES = ("frame", "frame_id", "frame_index", "frame_number")
 DELIMITERS = (",", ";", "\t")
@@ -59,34 +60,6 @@ class FrameTable:
     decimal_comma: bool
     example: str
 
-    def of_arm(self, whose: str = "") -> FrameTable:
-        """The columns of one arm, whose names are without it.
-
-        Args:
-            whose: The arm, where columns of two are expected; none where those of one are, which name no arm.
-
-        Raises:
-            DatasetError: It is the other way round; one line.
-        """
-        of_two = {column.name for column in self.columns}
-        if not whose:
-            if any(name.startswith("left_") and f"right_{name.removeprefix('left_')}" in of_two for name in of_two):
-                raise DatasetError(
-                    f"{self.path}: has columns of two arms; say --instances 1=left,2=right or --arms both, as the "
-                    "masks are"
-                )
-            return self
-        start = f"{whose}_"
-        own = tuple(
-            replace(column, name=column.name.removeprefix(start))
-            for column in self.columns
-            if column.name.startswith(start)
-        )
-        if not own:
-            _, first, *_, last = self.example.split(",")
-            raise DatasetError(f"{self.path}: has columns of one arm; those of two are left_{first}, ..., right_{last}")
-        return replace(self, columns=own)
-
     def values(
         self, columns: Sequence[Column], numbers: Sequence[int], *, complete: bool, maskless: Collection[int] = ()
     ) -> FloatArray:
@@ -95,7 +68,8 @@ class FrameTable:
         Args:
             columns: Of this table.
             numbers: The recording's frames, in order. Rows of frames between them, which have no mask, are left out.
-            complete: Every frame must have a row of numbers; otherwise missing rows and empty cells become NaN.
+            complete: Every frame must have a row, of numbers or without any, which become NaN; otherwise missing rows
+                and empty cells become NaN.
             maskless: Further frames without a mask, whose rows are left out.
 
         Returns:
@@ -114,6 +88,8 @@ class FrameTable:
             if number in seen:
                 raise DatasetError(f"{self.path}: line {line}: frame {number} is there twice")
             seen.add(number)
+            if complete and all(self._is_empty(cells[column.place]) for column in columns):
+                continue
             for index, column in enumerate(columns):
                 cell = cells[column.place].strip()
                 if not cell and not complete:
@@ -127,8 +103,14 @@ class FrameTable:
                     values[places[number], index] = value
         hole = next((number for number in numbers if number not in seen), None)
         if complete and hole is not None:
-            raise DatasetError(f"{self.path}: frame {hole} is missing; every mask needs a row")
+            raise DatasetError(
+                f"{self.path}: frame {hole} is missing; every mask needs a row, with empty cells where nothing was read"
+            )
         return values
+
+    def _is_empty(self, cell: str) -> bool:
+        value = self._number(cell)
+        return not cell.strip() or (value is not None and math.isnan(value))
 
     def _number(self, cell: str) -> float | None:
         try:
@@ -191,7 +173,7 @@ def _says_something(line: str) -> bool:
 
 
 def _column(title: str, place: int) -> Column:
-    words = [word for word in re.split(r"[^0-9a-z]+", title.lower()) if word]
+    words = [word for word in re.split(r"[^0-9a-z]+", re.sub("[°º]", " deg ", title.lower())) if word]
     unit = UNITS.get(words[-1]) if len(words) > 1 else None
     return Column("_".join(words[:-1] if unit else words), unit, place, title)
 
@@ -201,6 +183,9 @@ def _frame(cell: str, path: Path, line: int) -> int:
         return int(cell)
     except ValueError:
         pass
+    stamp = number_of(cell.strip())
+    if stamp is not None:
+        return stamp
     try:
         number = float(cell)
     except ValueError:

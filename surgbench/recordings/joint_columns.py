@@ -67,6 +67,11 @@ def find_joints(table: FrameTable) -> dict[str, Column]:
     return found
 
 
+def says_half(column: Column) -> bool:
+    """Whether the column's own name says that it is half an opening: ``half_jaw``, where ``q3`` is anybody's."""
+    return _name(column.name) == HALF_JAW
+
+
 def _number(name: str) -> int | None:
     match = _NUMBERED.fullmatch(_bare(name))
     return None if match is None else int(match[1])

@@ -22,6 +22,7 @@ _EPOCH_S = (946_684_800, 4_102_444_800)
 _NUMBER = re.compile(r"(\d{9,10})\.(\d{1,9})(?!\d)|(\d{9,10})_(\d{9})(?!\d)|(\d+)")
 # A number this many steps away, and further than this many times all that the others span, belongs to no recording.
 _STRAY_STEPS, _STRAY_SPANS = 1000, 10
+_TOO_LARGE = 2**63
 # No more than one in so many numbers: a recording in two takes has many on both sides of a long gap.
 _FEW = 20
 
@@ -50,7 +51,7 @@ def number_files(paths: Iterable[Path]) -> dict[int, Path]:
     files that all begin with ``seq01``. Seconds with a fraction count nanoseconds.
 
     Raises:
-        DatasetError: A name has no number, or two have the same.
+        DatasetError: A name has no number, or one that nothing counts, or two have the same.
     """
     files = sorted(paths)
     numbers = [[_value(match) for match in _NUMBER.finditer(path.stem)] for path in files]
@@ -63,6 +64,8 @@ def number_files(paths: Iterable[Path]) -> dict[int, Path]:
         place = telling[-1] if telling else -1
     numbered: dict[int, Path] = {}
     for path, found in zip(files, numbers, strict=True):
+        if found[place] >= _TOO_LARGE:
+            raise DatasetError(f"{path}: its number is too large for a frame's or a time in ns")
         if found[place] in numbered:
             raise DatasetError(f"{path}: is frame {found[place]}, and so is {numbered[found[place]].name}")
         numbered[found[place]] = path
@@ -148,6 +151,12 @@ def _said(numbers: Sequence[int], steps: FloatArray, step: float, unit: str, cou
         first = int(longer[np.argmax(steps[longer])])
         words += f"; {len(longer)} gaps, the longest of {steps[first] * count_s:.4g} s after {numbers[first]}"
     return words
+
+
+def number_of(cell: str) -> int | None:
+    """The number that a name would have that is no more than a time: seconds with a fraction count nanoseconds."""
+    match = _NUMBER.fullmatch(cell)
+    return None if match is None or match[5] is not None or not (match[2] or match[4]).strip("0") else _value(match)
 
 
 def _value(match: re.Match[str]) -> int:

@@ -16,6 +16,7 @@ import numpy as np
 from surgbench.errors import DatasetError
 from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument
+from surgbench.recordings.arm_columns import THE_ONLY_ONE, Whose, of_arm
 from surgbench.recordings.frame_table import Column, read_frame_table
 from surgbench.recordings.joint_columns import (
     ARM_JOINTS,
@@ -26,6 +27,7 @@ from surgbench.recordings.joint_columns import (
     WRIST_PITCH,
     WRIST_YAW,
     find_joints,
+    says_half,
 )
 from surgbench.state import JOINTS
 
@@ -36,8 +38,29 @@ Jaw = Literal["half", "full"]
 SLACK_RAD, CLOSED_SLACK_RAD = 0.2, 0.5
 # Half the jaws' opening beyond what the instrument's open to by so much is more than a wrong calibration.
 OPEN_SLACK_RAD = 0.05
+# Jaws of which either reading is nearer to the other than this are closed, whatever is meant.
+CLOSED_RAD = 0.05
 # An arm's insertion is 0 to 0.24 m, or 0.29 m.
 LONGEST_INSERTION_M = 1.0
+
+
+@dataclass(frozen=True)
+class UntoldJaw:
+    """A jaw whose column's name alone says whether it is half the opening or all of it; both are possible.
+
+    Attributes:
+        path: The file.
+        column: The jaw's, as the file has it.
+        taken: What it is taken for.
+        joints: ``(frames, 3)`` as it is taken.
+        otherwise: ``(frames, 3)`` if it is the other.
+    """
+
+    path: Path
+    column: str
+    taken: Jaw
+    joints: FloatArray
+    otherwise: FloatArray
 
 
 @dataclass(frozen=True)
@@ -45,14 +68,17 @@ class Readings:
     """Joint readings of a recording.
 
     Attributes:
-        joints: ``(frames, 3)`` q1, q2, q3, rad, q3 from the midline; ``None`` where the file has no jaw.
-        arm: ``(frames, 6)`` the arm's joints, rad and (insertion) m, where they were asked for.
+        joints: ``(frames, 3)`` q1, q2, q3, rad, q3 from the midline, NaN where none was read; ``None`` where the file
+            has no jaw.
+        arm: ``(frames, 6)`` the arm's joints, rad and (insertion) m, likewise, where they were asked for.
         note: One line that says how the file was read.
+        jaw: What is left to be doubted, by who has masks; ``None`` where nothing is.
     """
 
     joints: FloatArray | None
     arm: FloatArray | None
     note: str
+    jaw: UntoldJaw | None = None
 
 
 def read_joints(
@@ -63,20 +89,21 @@ def read_joints(
     unit: AngleUnit | None = None,
     jaw: Jaw | None = None,
     arm: bool = False,
-    whose: str = "",
+    whose: Whose = THE_ONLY_ONE,
     maskless: Collection[int] = (),
 ) -> Readings | None:
     """Read and doubt a recording's joint readings.
 
     Args:
         path: Columns ``frame,q1,q2,q3``, or the dVRK's names, in any order (:mod:`surgbench.recordings.joint_columns`).
-        numbers: The recording's frames; each needs a row.
+        numbers: The recording's frames; each needs a row, which may be empty.
         instrument: Its limits are what readings are held against, and joints that it has not need no column.
         unit: Of all angles; unless told, as the column's name says (``jaw_deg``), else radians.
         jaw: Whether the jaw's column is each jaw's angle from the midline, or the whole angle between both; unless
             told, q3 is half and ``jaw`` is whole.
         arm: Take the six joints of the arm too.
-        whose: Arm whose columns are meant, where the file has those of two (``left_q1``).
+        whose: Arm whose columns or rows are meant, where the file has those of two
+            (:mod:`surgbench.recordings.arm_columns`).
         maskless: Frames without a mask, whose rows are left out.
 
     Returns:
@@ -91,13 +118,15 @@ def read_joints(
         if arm:
             raise DatasetError(f"{path}: missing; --joints-arm takes the arm's six joints from it")
         return None
-    table = table.of_arm(whose)
+    table = of_arm(table, whose)
     found = find_joints(table)
     if not found:
         raise DatasetError(f"{path}: line 1 must be '{HEADER}': it has no joint")
     if arm and (missing := [name for name in ARM_JOINTS if name not in found]):
         raise DatasetError(f"{path}: --joints-arm needs all six joints of the arm; there is no '{missing[0]}'")
     values = table.values(list(found.values()), numbers, complete=True, maskless=maskless)
+    if np.isnan(values).all():
+        raise DatasetError(f"{path}: holds no reading of any frame; move it away if there are none")
     read = {
         name: _in_metres(column, values[:, place], path)
         if name == INSERTION
@@ -109,8 +138,9 @@ def read_joints(
     _doubt(joints, instrument, numbers, path, told)
     six = np.stack([read[name] for name in ARM_JOINTS], axis=1) if arm else None
     has_jaw = "jaw" not in instrument.observable or JAW in found or HALF_JAW in found
-    title = f"{path.name}, {whose} arm" if whose else path.name
-    return Readings(joints if has_jaw else None, six, _note(title, joints, found, told, arm))
+    untold = _untold_jaw(joints, found, told, instrument, path)
+    said = _note(whose.title(path.name), joints, found, told, arm)
+    return Readings(joints if has_jaw else None, six, said, untold)
 
 
 @dataclass(frozen=True)
@@ -143,7 +173,7 @@ def _usual_jaw(found: Mapping[str, Column]) -> Jaw:
 
 def _in_metres(column: Column, values: FloatArray, path: Path) -> FloatArray:
     metres = values / 1000 if column.unit == "mm" else values
-    longest = float(np.abs(metres).max(initial=0.0))
+    longest = float(np.nanmax(np.abs(metres), initial=0.0))
     if longest > LONGEST_INSERTION_M:
         raise DatasetError(
             f"{path}: '{column.title}' reaches {longest:g} m, further than an arm; if it is in millimetres, call the "
@@ -202,7 +232,7 @@ def _doubt(joints: FloatArray, instrument: Instrument, numbers: Sequence[int], p
         )
     if ask_jaw and _opens_too_far(joints, instrument):
         raise DatasetError(
-            f"{path}: the jaws reach {joints[:, 2].max():.4g} rad from the midline, and the instrument's open to "
+            f"{path}: the jaws reach {np.nanmax(joints[:, 2]):.4g} rad from the midline, and the instrument's open to "
             f"{instrument.generate_limits.upper_rad[2]:.4g}; if it is the whole angle between the jaws: --jaw full, "
             "else --jaw half"
         )
@@ -217,12 +247,28 @@ def _far(joints: FloatArray, instrument: Instrument) -> np.ndarray:
 
 def _opens_too_far(joints: FloatArray, instrument: Instrument) -> bool:
     opens_to = instrument.generate_limits.upper_rad[2] + OPEN_SLACK_RAD
-    return "jaw" in instrument.observable and bool(joints[:, 2].max(initial=0.0) > opens_to)
+    return "jaw" in instrument.observable and bool(np.nanmax(joints[:, 2], initial=0.0) > opens_to)
+
+
+def _untold_jaw(
+    joints: FloatArray, found: Mapping[str, Column], told: _Told, instrument: Instrument, path: Path
+) -> UntoldJaw | None:
+    column = found.get(JAW, found.get(HALF_JAW))
+    if told.jaw is not None or column is None or says_half(column) or "jaw" not in instrument.observable:
+        return None
+    otherwise = joints * [1, 1, 2 if told.jaw_as == "full" else 0.5]
+    apart = np.nanmax(np.abs(joints - otherwise)[:, 2], initial=0.0)
+    if apart < CLOSED_RAD or _opens_too_far(otherwise, instrument):
+        return None
+    return UntoldJaw(path, column.title, told.jaw_as, joints, otherwise)
 
 
 def _note(title: str, joints: FloatArray, found: Mapping[str, Column], told: _Told, arm: bool) -> str:
     units = sorted({told.unit or column.unit or "rad" for name, column in found.items() if name != INSERTION})
-    said = [f"{title}: {len(joints)} readings, {' and '.join(units)}"]
+    read = joints[~np.isnan(joints).any(axis=1)]
+    said = [f"{title}: {len(read)} readings, {' and '.join(units)}"]
+    if len(read) < len(joints):
+        said.append(f"{len(joints) - len(read)} frames without one")
     jaw = found.get(JAW, found.get(HALF_JAW))
     if jaw is None:
         said.append("no jaw, so that trackers are given no readings")
@@ -230,7 +276,7 @@ def _note(title: str, joints: FloatArray, found: Mapping[str, Column], told: _To
         how = "each jaw's angle from the midline" if told.jaw_as == "half" else "the whole angle between the jaws"
         other = "full" if told.jaw_as == "half" else "half"
         said.append(f"'{jaw.title}' is {how}" + (f" (--jaw {other} if not)" if told.jaw is None else ""))
-    spans = zip(joints.min(axis=0), joints.max(axis=0), strict=True)
+    spans = zip(read.min(axis=0), read.max(axis=0), strict=True)
     said.append(", ".join(f"q{n} {low:.3g} to {high:.3g}" for n, (low, high) in enumerate(spans, start=1)) + " rad")
     if arm:
         said.append("all six joints of the arm are kept")

@@ -1,4 +1,4 @@
-"""How much of each picture is instrument, for the line that says so and for what is to be doubted."""
+"""How much of each picture is instrument, and whether tips lie on it: the line that says so, what is to be doubted."""
 
 from __future__ import annotations
 
@@ -8,12 +8,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from surgbench.geometry import FloatArray
 from surgbench.recordings.coding import MOST_INSTRUMENT
 
 # A part of a mask is as large as an instrument if it is at least this share of all that is in the mask.
 LARGE_PART = 0.2
 # In this share of the masks, at least, for it to be no accident.
 OFTEN = 0.5
+# Masks end short of tips, by no more than this share of the picture's diagonal.
+NEAR = 0.05
 
 
 class Shares:
@@ -57,6 +60,36 @@ class Shares:
             yield (
                 f"{self._split} of {seen} masks have two large parts at the border: if they are two instruments, "
                 "say --arms both, or --instances where their values differ"
+            )
+
+
+class Nearness:
+    """Looks at marked tips, which lie on the instrument or close by it.
+
+    Args:
+        width: Of the pictures, pixels.
+        height: Likewise.
+    """
+
+    def __init__(self, width: int, height: int) -> None:
+        self._reach = max(2, round(NEAR * float(np.hypot(width, height))))
+        self._tips = self._far = 0
+
+    def add(self, mask: NDArray[np.bool_], tips: FloatArray) -> None:
+        """Take in a mask, ``(height, width)``, and tips in it, ``(n, 2)`` pixels, NaN where they were not seen."""
+        if not mask.any():
+            return
+        for u, v in np.rint(tips[np.isfinite(tips).all(axis=1)]).astype(int):
+            around = mask[max(0, v - self._reach) : v + self._reach + 1, max(0, u - self._reach) : u + self._reach + 1]
+            self._tips += 1
+            self._far += not around.any()
+
+    def warnings(self) -> Iterable[str]:
+        """What is to be doubted, one line each."""
+        if self._far > OFTEN * self._tips:
+            yield (
+                f"tips.csv: {self._far} of {self._tips} tips lie more than {self._reach} pixels from the mask: of "
+                "pictures of another size, u and v exchanged, or another arm's?"
             )
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from surgbench.camera import Camera
 from surgbench.errors import DatasetError
 from surgbench.geometry import FloatArray
+from surgbench.recordings.arm_columns import THE_ONLY_ONE, Whose, of_arm
 from surgbench.recordings.frame_table import Column, FrameTable, read_frame_table
 
 TipsUnit = Literal["px", "fraction"]
@@ -45,7 +46,7 @@ def read_tips(
     camera: Camera,
     unit: TipsUnit | None = None,
     *,
-    whose: str = "",
+    whose: Whose = THE_ONLY_ONE,
     maskless: Collection[int] = (),
 ) -> Tips | None:
     """Read and doubt a recording's tips.
@@ -59,7 +60,8 @@ def read_tips(
         camera: Gives the picture's size.
         unit: What the numbers are; pixels unless told, if they can be. A fraction counts from the picture's edge, so
             that 0 is half a pixel before the first one's centre.
-        whose: Arm whose columns are meant, where the file has those of two (``left_u1``).
+        whose: Arm whose columns or rows are meant, where the file has those of two
+            (:mod:`surgbench.recordings.arm_columns`).
         maskless: Frames without a mask, whose rows are left out.
 
     Returns:
@@ -71,12 +73,12 @@ def read_tips(
     table = read_frame_table(path, HEADER)
     if table is None:
         return None
-    table = table.of_arm(whose)
+    table = of_arm(table, whose)
     points = table.values(_columns(table), numbers, complete=False, maskless=maskless).reshape(-1, 2, 2)
     points[np.isnan(points).any(axis=2)] = np.nan
     unseen = np.any([(points == value).all(axis=2) for value in NOT_SEEN], axis=0)
     points[unseen] = np.nan
-    title = f"{path.name}, {whose} arm" if whose else path.name
+    title = whose.title(path.name)
     marked = points[~np.isnan(points[..., 0])]
     if not len(marked):
         return Tips(None, f"{title}: left out, no tip was seen in any frame")

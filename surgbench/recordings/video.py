@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -64,7 +66,8 @@ class MaskVideo:
     def _open(self) -> cv2.VideoCapture:
         if not self.place.is_file():
             raise DatasetError(f"{self.place}: missing")
-        capture = cv2.VideoCapture(str(self.place), cv2.CAP_FFMPEG)
+        with _quiet():
+            capture = cv2.VideoCapture(str(self.place), cv2.CAP_FFMPEG)
         if not capture.isOpened():
             raise DatasetError(f"{self.place}: not a video that can be decoded, or truncated")
         capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)  # masks are of the sensor's grid
@@ -77,6 +80,18 @@ class MaskVideo:
     def _wrong_size(self, width: int, height: int) -> str:
         wanted = self._wanted or self.size
         return f"{self.place}: is {width}x{height} pixels, not {wanted[0]}x{wanted[1]}"
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """What FFmpeg and OpenCV print of a damaged file is said in one line of our own."""
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # it is read when the first video is opened
+    level = cv2.utils.logging.getLogLevel()
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    try:
+        yield
+    finally:
+        cv2.utils.logging.setLogLevel(level)
 
 
 def _size(capture: cv2.VideoCapture) -> tuple[int, int]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, TypeVar
@@ -15,6 +14,7 @@ from surgbench.geometry import FloatArray
 from surgbench.leftovers import without_leftovers
 from surgbench.records.format import FORMAT_STEM, FORMATS, RECORD_FORMAT, SKIPPED, Record
 from surgbench.records.seal import SEAL, check_seal
+from surgbench.syntax import parse_json
 from surgbench.task import find_task
 
 R = TypeVar("R", bound=Record)
@@ -34,8 +34,8 @@ def read_record(path: Path) -> Record | None:
             or of a task that is not known here.
     """
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (UnicodeDecodeError, json.JSONDecodeError) as error:
+        content = parse_json(path.read_text(encoding="utf-8"))
+    except ValueError as error:
         raise DatasetError(f"{path}: truncated or not JSON ({error}); delete it and run again") from None
     except OSError as error:
         raise DatasetError(f"{path}: cannot be read ({error.strerror})") from None

@@ -25,7 +25,19 @@ NOT_PLAYED = (
 
 
 class Encoder(Protocol):
-    """Takes pictures of one even size and puts them into an MP4 file."""
+    """Takes pictures of one even size and puts them into an MP4 file.
+
+    Args:
+        path: Ends in ``.mp4``.
+        width: Pixels, even.
+        height: The same.
+        fps: Frames per second.
+
+    Raises:
+        SurgbenchError: It cannot be opened.
+    """
+
+    def __init__(self, path: Path, width: int, height: int, fps: float) -> None: ...
 
     def write(self, picture: Picture) -> None:
         """Append a picture, ``(height, width, 3)`` uint8 RGB."""
@@ -37,17 +49,7 @@ class Encoder(Protocol):
 
 
 class H264Encoder:
-    """H.264 by PyAV (extra ``video``), 4:2:0, its index at the beginning, so that browsers play it while it loads.
-
-    Args:
-        path: Ends in ``.mp4``.
-        width: Pixels, even.
-        height: The same.
-        fps: Frames per second.
-
-    Raises:
-        SurgbenchError: It cannot be opened.
-    """
+    """H.264 by PyAV (extra ``video``), 4:2:0, its index at the beginning, so that browsers play it while it loads."""
 
     def __init__(self, path: Path, width: int, height: int, fps: float) -> None:
         import av
@@ -87,17 +89,7 @@ class H264Encoder:
 
 
 class OpenCVEncoder:
-    """MPEG-4 Part 2 by OpenCV, whose wheels have no encoder for H.264.
-
-    Args:
-        path: Ends in ``.mp4``.
-        width: Pixels, even.
-        height: The same.
-        fps: Frames per second.
-
-    Raises:
-        SurgbenchError: It cannot be opened.
-    """
+    """MPEG-4 Part 2 by OpenCV, whose wheels have no encoder for H.264."""
 
     def __init__(self, path: Path, width: int, height: int, fps: float) -> None:
         self._writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), fps, (width, height))

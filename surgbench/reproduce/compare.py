@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from surgbench.report.column import Column
@@ -47,9 +47,21 @@ class Comparison:
 
 
 def compare(
-    block: Block, rows: Sequence[Row], published: Published | None, measures: Sequence[Column]
+    block: Block,
+    rows: Sequence[Row],
+    published: Published | None,
+    measures: Sequence[Column],
+    instead: Mapping[str, str],
 ) -> list[Comparison]:
-    """All rows of a block that stand for or beside a published row and were run, with the figures both are about."""
+    """All rows of a block that stand for or beside a published row and were run, with the figures both are about.
+
+    Args:
+        block: Whose.
+        rows: Of the leaderboard.
+        published: The figures.
+        measures: Columns that are compared.
+        instead: Column to the one that stands in its place where a row has that: of recordings.
+    """
     if published is None:
         return []
     found = {row["row_id"]: row for row in rows}
@@ -62,6 +74,8 @@ def compare(
         for measure in measures:
             figure = published.value(name, str(block.published_on), measure.key)
             if figure is not None:
-                pairs.append(Pair(measure, figure, ours[measure.key], ours.get(f"{measure.key}_sem")))
+                other = instead.get(measure.key, "")
+                key = measure.key if ours.get(other) is None else other
+                pairs.append(Pair(measure, figure, ours[key], ours.get(f"{key}_sem")))
         comparisons.append(Comparison(row, tuple(pairs)))
     return comparisons

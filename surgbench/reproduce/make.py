@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+from dataclasses import replace
 from pathlib import Path
 
 from surgbench.errors import SurgbenchError
 from surgbench.files import write_atomic
 from surgbench.report.figures import FIGURE_PNG, check_matplotlib
 from surgbench.report.frame import csv_text, to_frame
+from surgbench.reproduce.again import merged, narrowed
 from surgbench.reproduce.datasets import MakeDataset, Watcher
 from surgbench.reproduce.derive import derive
 from surgbench.reproduce.files import (
@@ -30,7 +33,14 @@ def table_folder(definition: Definition, out: Path, quick: bool) -> Path:
 
 
 def reproduce(
-    definition: Definition, out: Path, data: Path, jobs: int, quick: bool, make: MakeDataset, watcher: Watcher
+    definition: Definition,
+    out: Path,
+    data: Path,
+    jobs: int,
+    quick: bool,
+    make: MakeDataset,
+    watcher: Watcher,
+    only: Collection[str] = (),
 ) -> tuple[Results, list[str]]:
     """Make a table: datasets, runs, CSV, Markdown, fingerprints, figure. The same call again goes on where it stopped.
 
@@ -42,6 +52,8 @@ def reproduce(
         quick: Only the small share.
         make: Makes datasets.
         watcher: Is told what is going on.
+        only: Rows of a finished table that alone are run again; the others stay as they stand in its files, and so
+            does what is drawn of estimates.
 
     Returns:
         The results, and a line for each run that failed.
@@ -49,6 +61,8 @@ def reproduce(
     Raises:
         SurgbenchError: Something cannot be written, or a dataset or record is at fault.
     """
+    if only:
+        return _rerun(definition, table_folder(definition, out, quick), data, jobs, make, watcher, only)
     with_pictures = definition.table.has_pictures and not quick
     if with_pictures:
         try:
@@ -65,6 +79,31 @@ def reproduce(
     further = [name for name in drawn if name != FIGURE_PNG]
     if further:
         results.about["pictures"] = further
+    _write_all(definition, results, folder)
+    return results, failures
+
+
+def _rerun(
+    definition: Definition,
+    folder: Path,
+    data: Path,
+    jobs: int,
+    make: MakeDataset,
+    watcher: Watcher,
+    only: Collection[str],
+) -> tuple[Results, list[str]]:
+    before = read_results(folder)  # first: what is not whole cannot be mended this way
+    part = replace(definition, table=narrowed(definition.table, only))
+    blocks, failures = do_work(part, folder, data, jobs, False, make, watcher)
+    results = merged(definition, before, derive(part, blocks, folder, quick=False))
+    if definition.table.has_pictures:
+        watcher.say(f"{folder}: pictures stay as they are; only a run of the whole table draws them")
+    _write_all(definition, results, folder)
+    return results, failures
+
+
+def _write_all(definition: Definition, results: Results, folder: Path) -> None:
+    sheet = find_task(definition.table.task).sheet
     texts = {
         LEADERBOARD_CSV: csv_text(to_frame(results.rows, sheet.leaderboard(results.rows))),
         SEQUENCES_CSV: csv_text(to_frame(results.sequences, sheet.sequences(results.sequences))),
@@ -73,7 +112,6 @@ def reproduce(
     }
     for name, text in texts.items():
         _write(folder / name, text)
-    return results, failures
 
 
 def render(definition: Definition, folder: Path) -> Path:

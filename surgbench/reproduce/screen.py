@@ -29,9 +29,8 @@ def print_table(definition: Definition, results: Results, console: Console) -> N
             if row["block"] == block.name
         ]
         print_leaderboard(rows, console)
-        comparisons = compare(
-            block, results.rows, definition.published, find_task(definition.table.task).sheet.measures
-        )
+        sheet = find_task(definition.table.task).sheet
+        comparisons = compare(block, results.rows, definition.published, sheet.measures, sheet.instead)
         if comparisons and definition.published is not None:
             _print_comparisons(comparisons, definition.published.short, console)
     if results.about["quick"]:

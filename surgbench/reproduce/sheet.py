@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -41,6 +41,7 @@ class Sheet:
             their names, none where nothing can be drawn.
         estimates: Column of a record's frames that a rerun is held against.
         measures: What is shown beside published figures in the terminal.
+        instead: Of these, column to the one that stands in its place where a row has that.
     """
 
     columns: tuple[Field, ...]
@@ -56,6 +57,7 @@ class Sheet:
     draw: Callable[[Definition, Sequence[BlockWork], Results, Path], list[str]]
     estimates: str
     measures: tuple[Column, ...] = ()
+    instead: Mapping[str, str] = field(default_factory=dict)
     further_columns: tuple[Field, ...] = ()
     further_errors: tuple[str, ...] = ()
     further_counts: tuple[str, ...] = ()

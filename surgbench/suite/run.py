@@ -5,7 +5,6 @@ Several calls at once into one folder share the work: a job that another one is 
 
 from __future__ import annotations
 
-import json
 import os
 import time
 from collections.abc import Callable, Mapping
@@ -28,6 +27,7 @@ from surgbench.suite.head import head, skipped
 from surgbench.suite.plug import edited
 from surgbench.suite.running import Run
 from surgbench.suite.settings import Job
+from surgbench.syntax import parse_json
 from surgbench.task import find_task
 
 # Between two looks at what other calls are at.
@@ -102,8 +102,11 @@ def probe_output(out: Path) -> None:
         SurgbenchError: It cannot.
     """
     probe = out / f"probe.{os.getpid()}{PARTIAL_SUFFIX}"
-    _write(probe, bytes(1 << 16))
-    probe.unlink()
+    try:
+        write_atomic(probe, bytes(1 << 16))
+        probe.unlink()
+    except OSError as error:
+        raise cannot_write(out, error) from None
 
 
 def make_plan(jobs: list[Job], out: Path, retry_failed: bool = True, again: bool = False) -> Plan:
@@ -147,7 +150,7 @@ def _stamp(path: Path) -> Stamp | None:
 def _recorded(path: Path, job: Job) -> dict[str, Any] | None:
     """A job's record; ``None`` where there is none."""
     try:
-        record: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        record: dict[str, Any] = parse_json(path.read_text(encoding="utf-8"))
         if record["format"] in FORMATS:
             check_seal(record, path)
             if record["spec_hash"] == job.hash and record["status"]:

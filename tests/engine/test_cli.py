@@ -57,6 +57,11 @@ def test_no_command_is_without_an_example() -> None:
     assert not bare
 
 
+def test_it_is_a_module_too() -> None:
+    done = subprocess.run([sys.executable, "-m", "surgbench", "--version"], capture_output=True, text=True)
+    assert (done.returncode, done.stdout.strip()) == (0, f"surgbench {surgbench.__version__}")
+
+
 def test_version_is_the_packages() -> None:
     assert CliRunner().invoke(app, ["--version"]).output.strip() == f"surgbench {surgbench.__version__}"
 

@@ -84,6 +84,20 @@ def test_nothing_is_noted_of_what_could_not_be_written(tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == ["one", "two"]
 
 
+def test_a_full_disk_names_the_file_and_leaves_no_part(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The system names none where it was open already."""
+
+    def full(path: Path, data: bytes) -> None:
+        path.touch()
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    with pytest.raises(OSError, match="one") as raised:
+        write_files(tmp_path, {"one": b"1"})
+    assert (raised.value.errno, raised.value.filename) == (28, str(tmp_path / "one"))
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_file_that_nobody_wrote_is_one_line(tmp_path: Path) -> None:
     write_files(tmp_path, {"one": b"1"})
     with pytest.raises(DatasetError, match=r"^[^\n]*one: not in the ledgers in [^\n]*$"):

@@ -15,6 +15,9 @@ import numpy as np
 import pytest
 import yaml
 from commandline import STRANGERS, surgbench
+from others import bar, put
+from surgpose_folder import FRAMES as SURGPOSE_FRAMES
+from surgpose_folder import jaws_of, put_jaw, put_trajectory
 
 from surgbench.config import packaged_names
 from surgbench.errors import ConfigError, NotFoundError
@@ -425,7 +428,7 @@ def test_no_worse_than_published_is_met() -> None:
 @pytest.mark.slow
 def test_only_rows_with_a_published_one_are_compared(definition: Definition, results: Results) -> None:
     block = definition.table.blocks[0]
-    found = compare(block, results.rows, definition.published, PUBLISHED)
+    found = compare(block, results.rows, definition.published, PUBLISHED, {})
     assert [one.row.id for one in found] == ["still", "noisy-joints"]
     assert {pair.measure.key for pair in found[0].pairs} == {
         *("rotation_error_rad", "translation_error_m", "q1_error_rad", "q2_error_rad", "q3_error_rad"),
@@ -502,3 +505,72 @@ def test_worst_moments_lie_apart() -> None:
     errors[100, 1], errors[110, 0], errors[250, 0] = 0.03, 0.02, 0.01
     record: Any = SimpleNamespace(errors={"tip_error_m": errors}, frames=SimpleNamespace(index=list(range(300))))
     assert [(one.frame, one.tip_error_m) for one in worst_moments([record], 2)] == [(100, 0.03), (250, 0.01)]
+
+
+# --- some rows again
+
+
+@pytest.mark.slow
+def test_a_row_run_again_takes_its_place_and_the_others_stay(
+    copy: Path, made: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (copy / "data").symlink_to(made / "data")
+    folder = copy / "results" / "tiny"
+    for name in ("records", "timing"):
+        shutil.rmtree(folder / name)  # as where a table was cloned
+    before = read_results(folder)
+    run(copy, "--row", "noisy-joint", expect=2)
+    assert "did you mean 'noisy-joints'?" in capsys.readouterr().err
+    table = json.loads(json.dumps(TABLE))
+    table["blocks"][0]["rows"][1]["readings"] = "none"  # the row is another one now
+    (copy / "tiny.yaml").write_text(yaml.safe_dump(table), encoding="utf-8")
+    run(copy, "--row", "noisy-joints")
+    assert f"1 runs, {FRAMES} frames" in capsys.readouterr().err
+    after = read_results(folder)
+    assert after.rows[0] == before.rows[0]
+    assert after.sequences[:2] == before.sequences[:2]
+    assert (after.rows[1]["row_id"], after.rows[1]["readings"]) == ("noisy-joints", "none")
+    assert list(after.about["records"]) == list(before.about["records"])
+    run(copy, "--check")
+    assert "confirmed" in capsys.readouterr().out
+
+
+# --- recordings
+
+
+@pytest.mark.slow
+def test_rows_on_recordings_that_the_user_has(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A table whose dataset is imported: reference errors in all files, beside the article's, and the check."""
+    source = tmp_path / "SurgPose"
+    put_trajectory(source / "000000")
+    put_jaw(source / "gripper_angle.yaml", {"000000": {arm: jaws_of(arm) for arm in ("PSM1", "PSM3")}})
+    for arm, top in (("PSM1", 8), ("PSM3", 30)):
+        for frame in range(SURGPOSE_FRAMES):
+            put(tmp_path / f"sam/000000/{arm}/{frame:05d}.png", 255 * bar(frame, top).astype(np.uint8))
+    table: dict[str, Any] = json.loads(json.dumps(TABLE))
+    del table["figure"]
+    (block,) = table["blocks"]
+    options = {"trajectories": "0", "half": True}
+    block |= {"dataset": {"importer": "surgpose", "name": "surgpose-0", "options": options}}
+    block |= {"quick_sequences": ["000000"], "published_on": "surgpose-normal"}
+    few = {"hypotheses": 50, "refined": 1, "shafts": 1, "redrawn": 50, "finalists": 1, "generations": [1, 1]}
+    row = {"initialiser": "random", "options": {"random": few}, "keypoints": "none", "published": "cmaes-3"}
+    block["rows"] = [{"row_id": "still", "label": "Still", "tracker": f"{STRANGERS}:Still", **row}]
+    (tmp_path / "own.yaml").write_text(yaml.safe_dump(table), encoding="utf-8")
+    places = ("--out", tmp_path / "results", "--data", tmp_path / "data", "--jobs", 1)
+
+    surgbench("reproduce", tmp_path / "own.yaml", *places, expect=2)
+    assert "needs --surgpose DIR" in capsys.readouterr().err
+    surgbench("reproduce", tmp_path / "own.yaml", "--surgpose", source, "--surgpose-masks", tmp_path / "sam", *places)
+    surgbench("reproduce", tmp_path / "own.yaml", *places)  # it is there now
+    results = read_results(tmp_path / "results/own")
+    (ours,) = results.rows
+    assert (ours["sequences"], ours["rotation_error_rad"]) == (2, None)
+    for error in ("reference_tip_error_px", "reference_keypoint_error_px"):
+        assert ours[error] == pytest.approx(np.mean([one[error] for one in results.sequences]))
+    assert ours["absent_frames"] == sum(one["absent_frames"] for one in results.sequences)
+    page = (tmp_path / "results/own/leaderboard.md").read_text(encoding="utf-8")
+    assert "1 recording without truth" in page
+    assert f"{ours['reference_keypoint_error_px']:.2f}" in page.partition("Beside")[2]
+    assert "rotation" not in page.partition("## ")[2]
+    surgbench("reproduce", tmp_path / "own.yaml", *places, "--check")

@@ -573,7 +573,9 @@ def test_a_folder_that_cannot_be_written_is_noticed_before_the_work(
     (tmp_path / "file").touch()
     arguments = (*RUN, "--dataset", dataset, "--tracker", f"{STRANGERS}:Still", "--out", tmp_path / "file" / "x")
     surgbench(*arguments, expect=2)
-    assert "cannot be written" in capsys.readouterr().err
+    error = capsys.readouterr().err
+    assert f"{tmp_path / 'file' / 'x'}: cannot be written" in error
+    assert error.count("\n") == 1  # no plan of what comes to nothing
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""Python's parser in several threads."""
+"""Texts of others: Python's parser in several threads; JSON and YAML that nest deeply, or stand for too much."""
 
 from __future__ import annotations
 
@@ -12,11 +12,12 @@ from pathlib import Path
 
 import pytest
 import trimesh
+import yaml
 
 import surgbench
 from surgbench.instrument.meshes import load_mesh
 from surgbench.instrument.spec import MeshFile
-from surgbench.syntax import parse_file
+from surgbench.syntax import parse_file, parse_json, parse_yaml
 
 
 class Litter:
@@ -59,3 +60,36 @@ def test_text_and_meshes_are_read_in_several_threads(tmp_path: Path) -> None:
         done = [pool.submit(repeat, lambda: parse_file(next(sources))) for _ in range(2)]
         done.append(pool.submit(repeat, lambda: load_mesh(MeshFile(path="link.ply"), tmp_path, "link")))
     assert all(future.result() > 0 for future in done)
+
+
+DEEP = {
+    "brackets": "[" * 100_000,
+    "closed brackets": "[" * 150 + "]" * 150,
+    "keys": '{"a":' * 150 + "1" + "}" * 150,
+}
+DEEP_YAML = {
+    **{name: f"a: {text}" for name, text in DEEP.items()},
+    "brackets in lines": "a:\n" + " [\n" * 50_000,
+    "dashes": "- " * 50_000,
+    "indents": "\n".join(" " * depth + "a:" for depth in range(500)),
+    "itself": "&a [*a]",
+    "much from few": "\n".join(["a0: &a0 [1, 1]"] + [f"a{k}: &a{k} [{f'*a{k - 1},' * 9}]" for k in range(1, 12)]),
+}
+
+
+@pytest.mark.parametrize("text", DEEP.values(), ids=DEEP)
+def test_json_that_nests_deeply_is_refused(text: str) -> None:
+    with pytest.raises(ValueError, match="nested more than 100 deep"):
+        parse_json(text)
+
+
+@pytest.mark.parametrize("loader", [yaml.SafeLoader, getattr(yaml, "CSafeLoader", yaml.SafeLoader)])
+@pytest.mark.parametrize("text", DEEP_YAML.values(), ids=DEEP_YAML)
+def test_yaml_that_nests_deeply_or_stands_for_too_much_is_refused(text: str, loader: type) -> None:
+    with pytest.raises(ValueError, match=r"nested more than 100 deep|holds more than \d+ values"):
+        parse_yaml(text, loader)
+
+
+def test_a_date_that_is_none_is_a_wrong_value() -> None:
+    with pytest.raises(ValueError, match="month must be in"):
+        parse_yaml("a: 2026-13-45")

@@ -81,6 +81,12 @@ def ros_echo(camera: Camera) -> str:
     return yaml.safe_dump(content, sort_keys=False) + "---\n"
 
 
+def ros_echoes(camera: Camera) -> str:
+    """As it is printed until it is interrupted, here amid a message."""
+    one = ros_echo(camera)
+    return one + one.replace("seq: 3", "seq: 4") + "\n".join(one.splitlines()[:6])
+
+
 def opencv(suffix: str, names: tuple[str, str] = ("camera_matrix", "distortion_coefficients")) -> Callable[..., str]:
     def text(camera: Camera) -> str:
         storage = cv2.FileStorage(suffix, cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY)
@@ -103,6 +109,7 @@ FORMATS: dict[str, Callable[[Camera], str]] = {
     "whole floats": with_whole_floats,
     "ROS's calibration": ros_yaml,
     "ROS's message": ros_echo,
+    "ROS's messages": ros_echoes,
     "OpenCV's YAML": opencv("c.yaml"),
     "OpenCV's XML": opencv("c.xml"),
     "OpenCV's JSON": opencv("c.json"),
@@ -209,6 +216,20 @@ def test_another_size_is_scaled_and_another_shape_refused(tmp_path: Path) -> Non
         read_camera(path, calibrated_at=(700, 493))
 
 
+@pytest.mark.parametrize(
+    ("calibrated", "pictures"), [((700, 493), (700, 492)), ((700, 493), (700, 494)), ((701, 493), (700, 492))]
+)
+def test_what_an_encoder_made_even_has_the_same_lens(
+    tmp_path: Path, calibrated: tuple[int, int], pictures: tuple[int, int]
+) -> None:
+    camera = LENS.model_copy(update={"width": calibrated[0], "height": calibrated[1]})
+    (tmp_path / "camera.json").write_text(own(camera))
+    said: list[str] = []
+    read = read_camera(tmp_path / "camera.json", pictures, say=said.append)
+    assert read == camera.model_copy(update={"width": pictures[0], "height": pictures[1]})
+    assert "as encoders want even sizes" in said[1]
+
+
 def test_four_coefficients_of_a_wide_lens_may_be_a_fisheyes(tmp_path: Path) -> None:
     wide = FISHEYE.model_copy(update={"distortion_model": "opencv"})
     path = tmp_path / "camera.json"
@@ -237,6 +258,8 @@ def ros_with(**changes: Any) -> str:
         ("", "no camera file (keys: width, height, fx, fy, cx, cy; or camera_matrix; or nine numbers of K)"),
         ("{", "not valid JSON"),
         ("camera_matrix: [1, 2", "not valid YAML"),
+        ("[" * 100_000, "not valid JSON (nested more than 100 deep)"),
+        (ros_echo(CAMERA) + ros_echo(LENS), "holds several cameras, one after the other"),
         ("%YAML:1.0\n---\na: [1, 2\nb: : :", "not valid YAML or XML of OpenCV"),
         ("[1, 2, 3]", "'K' must be 9 numbers, not 3"),
         ('{"K": [[1, 0], [0, 1]]}', "'camera_matrix' must be 9 numbers, not 4"),

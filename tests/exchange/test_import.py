@@ -14,6 +14,7 @@ from surgbench.dataset.open import open_as
 from surgbench.dataset.validate import validate
 from surgbench.errors import NotFoundError, SurgbenchError
 from surgbench.exchange.masks import import_masks
+from surgbench.recordings.coding import Told
 from surgbench.tasks.instrument.dataset import InstrumentDataset
 
 CAMERA: dict[str, Any] = {"width": 40, "height": 30, "fx": 60.0, "fy": 61.0, "cx": 19.0, "cy": 14.5}
@@ -47,7 +48,9 @@ def full(source: Path) -> Path:
         picture = np.zeros((30, 40, 3), np.uint8)
         picture[..., 2] = 10 * frame + 5  # red, in OpenCV's order
         write_png(source / "images" / f"{frame:06d}.png", picture)
-    (source / "joints.csv").write_text("frame,q1,q2,q3\n0,0.1,0.2,0.3\n1,0.1,0.2,-0.05\n2,0.3,0.2,0.3\n")
+    (source / "joints.csv").write_text(
+        "frame,wrist_pitch,wrist_yaw,half_jaw\n0,0.1,0.2,0.3\n1,0.1,0.2,-0.05\n2,0.3,0.2,0.3\n"
+    )
     (source / "tips.csv").write_text("frame,u1,v1,u2,v2\n0,20,12,21,14\n2,22,12,,\n")
     return source
 
@@ -197,6 +200,16 @@ def truncate(name: str) -> Callable[[Path], Any]:
             "000001.png: is 41x30 pixels; the first mask is 40x30",
         ),
         (truncate("masks/000001.png"), "000001.png: truncated or damaged PNG"),
+        (
+            lambda s: (s / "masks/000003.bmp").write_bytes(b"BM"),
+            "masks/000003.bmp: is neither PNG nor JPEG, as others there are",
+        ),
+        (lambda s: (s / "masks/000003.png").symlink_to(s / "nowhere"), "masks/000003.png: leads nowhere"),
+        (lambda s: (s / "masks/000003.png").mkdir(), "masks/000003.png: is no file; masks must be files"),
+        (
+            lambda s: write_png(s / f"masks/{2**63}.png", blob(0)),
+            f"masks/{2**63}.png: its number is too large for a frame's",
+        ),
         (put("masks/000001.png", "text"), "000001.png: not a PNG or JPEG file"),
         (lambda s: write_png(s / "masks/last.png", blob(0)), "last.png: its name must hold the frame's number"),
         (lambda s: write_png(s / "masks/m1.png", blob(0)), "m1.png: is frame 1, and so is 000001.png"),
@@ -252,11 +265,19 @@ def test_what_is_wrong_is_one_line_and_leaves_nothing(
     assert sorted(tmp_path.iterdir()) == before
 
 
+TWO = {"left": frozenset({1}), "right": frozenset({2})}
+
+
 def test_wrong_options(source: Path, tmp_path: Path) -> None:
     with pytest.raises(NotFoundError, match="unknown instrument 'needle'"):
         import_masks(source, tmp_path / "out", instrument="needle")
     with pytest.raises(SurgbenchError, match="--fps: must be greater than 0, not 0"):
         import_masks(source, tmp_path / "out", fps=0.0)
+    for fps in (1e-300, 1e300):
+        with pytest.raises(SurgbenchError, match=r"--fps: .* plausible is 0.001 to 100000"):
+            import_masks(source, tmp_path / "out", fps=fps)
+    with pytest.raises(SurgbenchError, match="--instances has a left one too; leave --arms away"):
+        import_masks(source, tmp_path / "out", arm="right", told=Told(instances=TWO))
     with pytest.raises(SurgbenchError, match="no such folder"):
         import_masks(tmp_path / "none", tmp_path / "out")
     assert not (tmp_path / "out").exists()

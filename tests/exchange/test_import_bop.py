@@ -3,73 +3,31 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from commandline import surgbench
-from others import CAMERA, bar, grey, imported, put, put_json, refused
+from others import (
+    CAMERA,
+    LINKS,
+    STATES,
+    bar,
+    grey,
+    imported,
+    put,
+    put_articulated,
+    put_json,
+    put_scene,
+    refused,
+)  # fmt: skip
 
-from surgbench.instrument import load_instrument
 from surgbench.kinds import KINDS
 from surgbench.tasks.instrument.dataset import InstrumentDataset
-
-FRAMES = 2
-DRIVER = load_instrument("large_needle_driver")
-LINKS = list(DRIVER.meshes)
-STATES = {
-    "left": np.array([[0.3, 0.4, 0.8, -0.01, 0, 0.13, 0.3, -0.2, 0.3], [0.3, 0.5, 0.8, -0.01, 0, 0.13, 0.3, 0.2, 0.1]]),
-    "right": np.array([[-0.2, -2.5, -0.9, 0.02, 0.0, 0.14, -0.1, 0.4, 0.1]] * 2),
-}  # fmt: skip
-
-
-def put_scene(folder: Path, objects: list[list[int]], *, layer: str = "mask_visib") -> Path:
-    """Of each image the ids of its objects; their masks are bars, further down the later they come."""
-    entries: dict[str, list[dict[str, Any]]] = {}
-    for image, own in enumerate(objects):
-        entries[str(image)] = [
-            {"obj_id": one, "cam_R_m2c": np.eye(3).ravel().tolist(), "cam_t_m2c": [0, 0, 130]} for one in own
-        ]
-        for place in range(len(own)):
-            put(folder / layer / f"{image:06d}_{place:06d}.png", 255 * bar(image, 4 + 10 * place).astype(np.uint8))
-    put_json(folder / "scene_gt.json", entries)
-    matrix = {"cam_K": CAMERA.matrix.ravel().tolist(), "depth_scale": 1.0}
-    put_json(folder / "scene_camera.json", {str(image): matrix for image in range(len(objects))})
-    return folder
-
-
-def put_articulated(root: Path) -> Path:
-    """Both arms, each of the driver's links an object; models have their origin away from the link's."""
-    moved = np.array([1.0, -2.0, 3.0])
-    folder = put_scene(root / "test/000000", [[*range(1, len(LINKS) + 1)] * 2] * FRAMES, layer="mask")
-    about = {
-        str(number): {"instrument": DRIVER.name, "link": link, "link_from_model_mm": moved.tolist()}
-        for number, link in enumerate(LINKS, start=1)
-    }
-    put_json(root / "models/objects.json", about)
-    joints: dict[str, Any] = {}
-    entries: dict[str, list[dict[str, Any]]] = {}
-    for frame in range(FRAMES):
-        joints[str(frame)] = [{"arm": arm, "state": STATES[arm][frame].tolist()} for arm in ("right", "left")]
-        entries[str(frame)] = []
-        for arm in ("right", "left"):
-            for number, link in enumerate(LINKS, start=1):
-                pose = DRIVER.link_transforms(STATES[arm][frame])[DRIVER.link_index[link]]
-                entries[str(frame)].append(
-                    {
-                        "obj_id": number,
-                        "cam_R_m2c": pose[:3, :3].ravel().tolist(),
-                        "cam_t_m2c": (1e3 * pose[:3, 3] + pose[:3, :3] @ moved).tolist(),
-                    }
-                )
-    put_json(folder / "scene_joints.json", joints)
-    put_json(folder / "scene_gt.json", entries)
-    return root
 
 
 def test_objects_become_arms(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     scene = put_scene(tmp_path / "lnd/test/000003", [[5, 7], [5, 7]])
-    for image in range(FRAMES):
+    for image in range(2):
         put(scene / f"rgb/{image:06d}.jpg", grey(image))
     dataset = imported("bop", tmp_path / "lnd", "--objects", "7=left,5=right", "--fps", 10, out=tmp_path / "data")
     assert "poses are left out" in capsys.readouterr().err

@@ -84,6 +84,56 @@ def test_tracks_become_arms_and_frames_without_an_object_are_empty(tmp_path: Pat
     assert not sequence.mask("left", 1).any()
 
 
+def test_tracks_are_the_values_of_masks_where_categories_are_not_two(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As `import masks` has them: of one category, in another order in each frame, as RLE and as polygons."""
+    objects = [
+        annotation(10 + frame, 1, segmentation, track_id=track)
+        for frame in range(FRAMES)
+        for track, segmentation in sorted([(7, polygon(frame)), (9, runs(bar(frame, 30)))], reverse=frame % 2 == 0)
+    ]
+    path = put_coco(tmp_path / "set", objects)
+    options = ("--instances", "9=left,7=right")
+    sequence = imported("masks", path, *options, out=tmp_path / "data").sequences[0]
+    for frame in range(FRAMES):
+        assert np.array_equal(sequence.mask("right", frame), bar(frame))
+        assert np.array_equal(sequence.mask("left", frame), bar(frame, 30))
+    assert "--instances 7=left,9=right for two arms" in refused(capsys, "masks", path, out=tmp_path / "other")
+    named = put_coco(tmp_path / "named", [{**one, "track_id": f"tool {one['track_id']}"} for one in objects])
+    said = refused(capsys, "masks", named, *options, out=tmp_path / "other")
+    assert "import coco --tracks tool 7=left,tool 9=right takes such" in said
+    tracks = ("--tracks", "tool 9=left,tool 7=right", "--without-images")
+    again = imported("coco", named, *tracks, out=tmp_path / "again").sequences[0]
+    assert np.array_equal(again.mask("left", 2), bar(2, 30))
+
+
+@pytest.mark.parametrize("importer", ["coco", "masks"])
+def test_objects_of_a_video_are_followed(tmp_path: Path, capsys: pytest.CaptureFixture[str], importer: str) -> None:
+    """YouTube-VIS: an annotation for each object, with its masks in all frames."""
+    names = [f"case/{5 * frame:05d}.jpg" for frame in range(FRAMES)]
+    content: dict[str, Any] = {
+        "videos": [{"id": 1, "file_names": names, "width": WIDTH, "height": HEIGHT, "length": FRAMES}],
+        "categories": [{"id": 1, "name": "driver"}],
+        "annotations": [
+            {"id": 7, "video_id": 1, "category_id": 1, "segmentations": [runs(bar(frame)) for frame in range(FRAMES)]},
+            {"id": 9, "video_id": 1, "category_id": 1, "segmentations": [None, runs(bar(1, 30)), None]},
+        ],
+    }
+    put_camera(tmp_path / "set")
+    path = put_json(tmp_path / "set/annotations.json", content)
+    options = ("--tracks" if importer == "coco" else "--instances", "7=left,9=right")
+    sequence = imported(importer, path, *options, out=tmp_path / "data").sequences[0]
+    np.testing.assert_allclose(sequence.timestamps_s, [0.0, 5 / 30, 10 / 30])
+    for frame in range(FRAMES):
+        assert np.array_equal(sequence.mask("left", frame), bar(frame))
+        assert np.array_equal(sequence.mask("right", frame), bar(frame, 30) & (frame == 1))
+    content["annotations"][1]["segmentations"].pop()
+    put_json(path, content)
+    said = refused(capsys, importer, path, *options, out=tmp_path / "other")
+    assert "annotation 9: 2 segmentations, and its video 1 has 3 frames" in said
+
+
 def test_folders_become_sequences(tmp_path: Path) -> None:
     images = [
         {"id": number, "file_name": f"{folder}/frame_{frame}.png", "width": WIDTH, "height": HEIGHT}
@@ -124,8 +174,10 @@ def test_what_does_not_fit_is_one_line(tmp_path: Path, capsys: pytest.CaptureFix
     assert "img_001.png: missing; --without-images" in line
     twice = put_coco(tmp_path, [annotation(10, 1, polygon(0)), annotation(10, 1, polygon(0, 30))])
     line = refused(capsys, "coco", twice, "--without-images", out=out)
-    assert "has 2 objects 'driver' of one arm; --tracks" in line
-    assert "--pieces" in line
+    assert "has 2 objects 'driver' of one arm; --pieces" in line
+    followed = [annotation(10, 1, polygon(0), track_id="b"), annotation(10, 1, polygon(0, 30), track_id="a")]
+    line = refused(capsys, "coco", put_coco(tmp_path, followed), "--without-images", out=out)
+    assert "of one arm; --tracks b=left,a=right tells two instruments apart, --pieces" in line
     wrong = put_coco(tmp_path, [annotation(10, 1, {"size": [1, 2], "counts": [2]})])
     assert "an RLE has the size [1, 2]" in refused(capsys, "coco", wrong, "--without-images", out=out)
     none = put_coco(tmp_path, [])
@@ -151,11 +203,10 @@ def test_what_is_exported_comes_back(tmp_path: Path) -> None:
     (tmp_path / "rec/tips.csv").write_text(
         "frame,left_u1,left_v1,left_u2,left_v2,right_u1,right_v1,right_u2,right_v2\n0,5,9,6,9,7,31,8,32\n"
     )
-    camera = put_camera(tmp_path / "rec")
+    put_camera(tmp_path / "rec")
     surgbench("import", "masks", tmp_path / "rec", "--instances", "1=left,2=right", "--out", tmp_path / "first")
     surgbench("export", tmp_path / "first", "--format", "coco", "--out", tmp_path / "coco")
-    options = ("--camera", camera, "--without-images")
-    second = imported("coco", tmp_path / "coco", *options, out=tmp_path / "second").sequences[0]
+    second = imported("coco", tmp_path / "coco", "--without-images", out=tmp_path / "second").sequences[0]
     first = open_as(InstrumentDataset, tmp_path / "first").sequences[0]
     assert (second.id, second.arms, second.camera) == (first.id, first.arms, CAMERA)
     for kind in first.entry.kinds:

@@ -3,101 +3,27 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 import yaml
 from hypothesis import given
 from hypothesis import strategies as st
-from others import HEIGHT, WIDTH, bar, grey, imported, put, put_video, refused
+from others import HEIGHT, WIDTH, bar, imported, put, refused
+from surgpose_folder import CALIBRATION, FRAMES, jaws_of, joints_of, point_of, put_jaw, put_trajectory
 
+from surgbench.errors import DatasetError
 from surgbench.exchange.lags import move_readings
-
-FRAMES = 5
-CALIBRATION = f"""\
-[StereoLeft]
-res_x={WIDTH}
-res_y={HEIGHT}
-fc_x=80.0
-fc_y=81.0
-cc_x=31.5
-cc_y=23.5
-kc_0={{k1}}
-kc_1=0.0
-kc_2=0.0
-kc_3=0.0
-kc_4=0.0
-kc_5=0.0
-kc_6=0.0
-kc_7=0.0
-
-[StereoRight]
-res_x={WIDTH}
-res_y={HEIGHT}
-fc_x=90.0
-fc_y=91.0
-cc_x=30.5
-cc_y=22.5
-kc_0=0.0
-kc_1=0.0
-kc_2=0.0
-kc_3=0.0
-R_0=1.0
-R_1=0.0
-R_2=0.0
-R_3=0.0
-R_4=1.0
-R_5=0.0
-R_6=0.0
-R_7=0.0
-R_8=1.0
-T_0=-5.5
-T_1=0.1
-T_2=0.0
-"""
-
-
-def joints_of(arm: str, frame: int) -> list[float]:
-    sign = 1.0 if arm == "PSM1" else -1.0
-    return [0.1, 0.2, 0.15, -2.8, sign * (0.3 + 0.01 * frame), sign * (-0.2 - 0.02 * frame)]
-
-
-def point_of(identity: int, frame: int, eye: str = "left") -> list[float]:
-    return [2.0 * identity + frame + (1.0 if eye == "right" else 0.0), 10.0 + identity]
-
-
-def jaws_of(arm: str, count: int = FRAMES) -> list[float]:
-    return [(0.4 if arm == "PSM1" else 0.2) + 0.1 * (frame + FRAMES - count) for frame in range(count)]
-
-
-def put_trajectory(folder: Path, *, k1: float = 0.0, fps: float = 30.0) -> None:
-    """All but the jaw."""
-    folder.mkdir(parents=True)
-    (folder / "StereoCalibrationDVRK.ini").write_text(CALIBRATION.format(k1=k1))
-    for eye in ("left", "right"):
-        put_video(folder / f"regular/{eye}_video.avi", map(grey, range(FRAMES)), fps=fps)
-        (folder / f"regular/{eye}_video.avi").rename(folder / f"regular/{eye}_video.mp4")  # whatever is in it
-        points: dict[int, Any] = {
-            frame: {identity: point_of(identity, frame, eye) for identity in (*range(1, 6), *range(8, 13))}
-            for frame in range(FRAMES)
-        }
-        points[1][4] = None
-        points[2][6] = point_of(6, 2, eye)
-        (folder / f"keypoints_{eye}.yaml").write_text(yaml.safe_dump(points))
-    read = {str(frame): {arm: joints_of(arm, frame) for arm in ("PSM1", "PSM3")} for frame in range(FRAMES)}
-    (folder / "api_jp_data.yaml").write_text(yaml.safe_dump(read))
-
-
-def put_jaw(path: Path, content: object) -> None:
-    path.write_text(yaml.safe_dump(content))
+from surgbench.recordings.surgpose import read_keypoints
+from surgbench.tasks.instrument.units import UnitData
 
 
 @pytest.fixture
 def source(tmp_path: Path) -> Path:
     for name in ("000000", "000031"):
         put_trajectory(tmp_path / "SurgPose" / name)
-    own = {arm: jaws_of(arm) for arm in ("PSM1", "PSM3")}
+    # As published: of all trajectories in one file, one angle less than frames, the first one of frame 0.
+    own = {arm: jaws_of(arm)[:-1] for arm in ("PSM1", "PSM3")}
     put_jaw(tmp_path / "SurgPose/gripper_angle.yaml", {"000000": own, "000031": own})
     return tmp_path / "SurgPose"
 
@@ -119,7 +45,7 @@ def test_everything_is_where_it_belongs(source: Path, tmp_path: Path) -> None:
         assert whole is not None
         np.testing.assert_allclose(whole, [joints_of(theirs, frame) for frame in range(FRAMES)])
         np.testing.assert_allclose(readings[:, :2], whole[:, 4:])
-        np.testing.assert_allclose(readings[:, 2], np.array(jaws_of(theirs)) / 2)
+        np.testing.assert_allclose(readings[:, 2], [*np.array(jaws_of(theirs)[:-1]) / 2, np.nan])
         labels = sequence.labels(arm)  # type: ignore[arg-type]
         assert set(labels) == {"shaft", "wrist", "jaw_pivot", "left_tip", "right_tip", "joint_2"}
         np.testing.assert_allclose(labels["wrist"], [point_of(first + 1, frame) for frame in range(FRAMES)])
@@ -168,6 +94,56 @@ def test_masks_of_a_segmenter_beside_it(source: Path, tmp_path: Path, halved: bo
     np.testing.assert_allclose(2 * sequence.labels("right")["wrist"][1] + 0.5, point_of(2, 2))
 
 
+def test_the_other_eye_is_an_auxiliary_view(source: Path, tmp_path: Path) -> None:
+    """Both keep the frames that both have masks of; its place is that of the stereo calibration."""
+    for eye, frames in (("left", range(1, FRAMES)), ("right", range(FRAMES - 1))):
+        for arm, top in (("PSM1", 8), ("PSM3", 30)):
+            for frame in frames:
+                shown = bar(frame, top + 2 * (eye == "right"))
+                put(tmp_path / f"{eye}/000000/{arm}/{frame:05d}.png", 255 * shown.astype(np.uint8))
+    options = ("--trajectories", "0", "--half")
+    both = ("--masks", tmp_path / "left", "--other-masks", tmp_path / "right")
+    dataset = imported("surgpose", source, *options, *both, out=tmp_path / "data")
+    (sequence,) = dataset.sequences
+    assert sequence.entry.source_frames == ("frame1", "frame2", "frame3")
+    view = sequence.auxiliary("right-eye")
+    assert (view.camera.width, view.camera.fx, view.entry.kinds) == (WIDTH // 2, 45.0, ("left", "right", "both"))
+    assert np.array_equal(view.mask("right", 0), bar(1, 10)[::2, ::2])
+    assert np.array_equal(view.mask("both", 0), view.mask("left", 0) | view.mask("right", 0))
+    np.testing.assert_allclose(view.T_view_cam("both")[2][:3, 3], [-0.0055, 0.0001, 0.0])
+    np.testing.assert_allclose(2 * view.keypoints("both", "left")[0, 0] + 0.5, point_of(11, 1, "right"))
+    given = UnitData(dataset, dataset.units()[0], "none", view="right-eye").observation(0, sequence.mask("left", 0))
+    assert np.array_equal(given.views[1].mask, view.mask("left", 0))
+    other = ("--eye", "right", "--masks", tmp_path / "right", "--other-masks", tmp_path / "left")
+    swapped = imported("surgpose", source, *options, *other, out=tmp_path / "swapped").sequences[0]
+    back = swapped.auxiliary("left-eye").T_view_cam("left")[0]
+    np.testing.assert_allclose(back @ view.T_view_cam("left")[0], np.eye(4), atol=1e-12)
+
+
+def test_the_other_eye_needs_masks_of_the_same_arms(
+    source: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for eye, arm in (("left", "PSM1"), ("left", "PSM3"), ("right", "PSM1")):
+        put(tmp_path / f"{eye}/000000/{arm}/00000.png", 255 * bar(0).astype(np.uint8))
+    folder, right = source / "000000", ("--other-masks", tmp_path / "right")
+    assert "name them with --masks" in refused(capsys, "surgpose", folder, *right, out=tmp_path / "data")
+    said = refused(capsys, "surgpose", folder, "--masks", tmp_path / "left", *right, out=tmp_path / "data")
+    assert "has masks of PSM1, " in said
+    assert "of PSM3 and PSM1; both need the same" in said
+
+
+def test_labels_beyond_the_end_of_the_video_are_left_out_and_told(tmp_path: Path) -> None:
+    """A video may lack its last frames; one at another rate has far less."""
+    path, lines = tmp_path / "keypoints_left.yaml", list[str]()
+    path.write_text(yaml.safe_dump({frame: {1: [1.0 + frame, 2.0]} for frame in range(101)}))
+    points = read_keypoints(path, 100, lines.append)
+    np.testing.assert_allclose(points["shaft"]["right"][99], [100.0, 2.0])
+    assert [line for line in lines if "frames up to 100, the video 100" in line] == lines
+    assert len(lines) == 1
+    with pytest.raises(DatasetError, match="has frame 100, the video has 50 frames"):
+        read_keypoints(path, 50)
+
+
 def test_points_and_pictures_lose_the_same_lens(tmp_path: Path) -> None:
     put_trajectory(tmp_path / "000000", k1=-0.3)
     sequence = imported("surgpose", tmp_path / "000000", out=tmp_path / "data").sequences[0]
@@ -183,6 +159,19 @@ def test_a_jaw_in_the_trajectory_begins_with_the_second_frame(source: Path, tmp_
     assert readings is not None
     assert np.isnan(readings[0, 2])
     np.testing.assert_allclose(readings[1:, 2], np.array(jaws_of("PSM1"))[1:] / 2)
+
+
+def test_the_common_file_of_jaws_may_lack_a_trajectory(
+    source: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    put_trajectory(source / "000008")
+    (source / "000000").rename(source / "000010")
+    # As a hand writes it: as YAML has it, 000010 is 8.
+    jaws = f"000010: {{PSM1: {jaws_of('PSM1')}, PSM3: {jaws_of('PSM3')}}}"
+    (source / "gripper_angle.yaml").write_text(jaws)
+    dataset = imported("surgpose", source, out=tmp_path / "data")
+    assert [one.readings("right") is not None for one in dataset.sequences] == [False, True, False]
+    assert "000008: gripper_angle.yaml has no trajectory 000008, so no readings of q3" in capsys.readouterr().err
 
 
 def test_without_a_jaw_there_are_no_readings_but_joints(source: Path, tmp_path: Path) -> None:
@@ -219,13 +208,18 @@ def test_what_grows_evenly_is_moved_exactly(lag: float, slope: float) -> None:
 def test_what_does_not_fit_is_one_line(source: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out, folder = tmp_path / "data", source / "000000"
     assert "has no trajectory 000005" in refused(capsys, "surgpose", source, "--trajectories", "5", out=out)
-    assert "must be like 0-7,30-33" in refused(capsys, "surgpose", source, "--trajectories", "a", out=out)
+    assert "has no trajectory" in refused(capsys, "surgpose", source, "--trajectories", "0-999999999999999", out=out)
+    for numbers in ("a", "3-1", "²", "9" * 5000):
+        assert "must be like 0-7,30-33" in refused(capsys, "surgpose", source, "--trajectories", numbers, out=out)
     assert "holds neither PSM1 nor PSM3" in refused(capsys, "surgpose", folder, "--masks", tmp_path, out=out)
+    assert "no reading is left" in refused(capsys, "surgpose", folder, "--lag", FRAMES, out=out)
     assert "--lag: 'x' is no number" in refused(capsys, "surgpose", folder, "--lag", "x", out=out)
     put_jaw(folder / "gripper_angle.yaml", {"PSM1": jaws_of("PSM1"), "PSM3": [0.1]})
     assert "1 angles of PSM3; expected 5 or 4" in refused(capsys, "surgpose", folder, out=out)
     (folder / "keypoints_left.yaml").write_text(yaml.safe_dump({FRAMES: {1: [1.0, 2.0]}}))
     assert f"has frame {FRAMES}, the video has {FRAMES} frames" in refused(capsys, "surgpose", folder, out=out)
+    (folder / "keypoints_left.yaml").write_text("0: {1: [0x1, 2]}")
+    assert "keypoints_left.yaml: not valid YAML" in refused(capsys, "surgpose", folder, out=out)
     (folder / "keypoints_left.yaml").write_text(yaml.safe_dump({0: {15: [1.0, 2.0]}}))
     assert "no point 15" in refused(capsys, "surgpose", folder, out=out)
     (folder / "StereoCalibrationDVRK.ini").write_text(CALIBRATION.format(k1=0.0).replace("fc_x=80.0\n", ""))

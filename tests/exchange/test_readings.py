@@ -17,6 +17,8 @@ from surgbench.dataset.validate import validate
 from surgbench.errors import DatasetError
 from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument, load_instrument
+from surgbench.recordings.arm_columns import Whose
+from surgbench.recordings.names import number_files
 from surgbench.recordings.readings import Readings, read_joints
 from surgbench.tasks.instrument.dataset import InstrumentDataset
 
@@ -230,6 +232,46 @@ def test_rows_between_masks_are_left_out(tmp_path: Path, driver: Instrument) -> 
         read_joints(path, [0, 1], driver)
 
 
+def test_frames_without_a_reading_have_rows_without_numbers(tmp_path: Path, driver: Instrument) -> None:
+    path = tmp_path / "joints.csv"
+    path.write_text("frame,q1,q2,q3\n0,0.1,0.2,0.3\n1,,,\n2,nan,NaN,\n")
+    found = read(path, driver)
+    assert_close(found.joints, [[0.1, 0.2, 0.3], [np.nan] * 3, [np.nan] * 3])
+    assert "1 readings, rad; 2 frames without one" in found.note
+    for rows, says in [
+        ("0,0.1,0.2,0.3\n1,,0.2,0.3\n2,,,\n", "line 3: 'q1' must be a finite number"),
+        ("0,,,\n1,,,\n2,,,\n", "holds no reading of any frame"),
+        ("0,0.1,0.2,0.3\n2,,,\n", "frame 1 is missing; every mask needs a row, with empty cells where nothing"),
+        ("0,46,0.2,0.3\n1,,,\n2,,,\n", "--joints-unit deg"),
+        ("0,0.1,0.2,0.9\n1,,,\n2,,,\n", "--jaw full"),
+    ]:
+        path.write_text("frame,q1,q2,q3\n" + rows)
+        with pytest.raises(DatasetError) as caught:
+            read(path, driver)
+        assert says in str(caught.value)
+
+
+def test_columns_may_name_the_only_arm(tmp_path: Path, driver: Instrument) -> None:
+    path = table(tmp_path / "joints.csv", "right_q1,right_q2,right_q3", TRUE)
+    assert_same(read(path, driver, whose=Whose("right")).joints, TRUE)
+    with pytest.raises(
+        DatasetError, match=r"columns of the right arm, and the masks are of the left one; .* --arms right"
+    ):
+        read(path, driver, whose=Whose("left"))
+
+
+def test_frames_are_called_as_the_masks_are(tmp_path: Path, driver: Instrument) -> None:
+    """Names that are times in seconds, of which a table has the same numbers."""
+    (tmp_path / "masks").mkdir()
+    stamps = [f"1403636579.{763 + 40 * frame:03d}" for frame in range(len(TRUE))]
+    numbers = list(number_files(tmp_path / f"masks/{stamp}.png" for stamp in stamps))
+    rows = [",".join([stamp, *map(repr, map(float, row))]) for stamp, row in zip(stamps, TRUE, strict=True)]
+    (tmp_path / "joints.csv").write_text("\n".join(["frame,q1,q2,q3", *rows]))
+    found = read_joints(tmp_path / "joints.csv", numbers, driver)
+    assert found is not None
+    assert_same(found.joints, TRUE)
+
+
 # --- as a user types it
 
 
@@ -261,6 +303,14 @@ def test_all_six_joints_are_kept_when_asked_for(
     plain = open_as(InstrumentDataset, tmp_path / "plain")
     assert plain.sequences[0].arm_joints("left") is None
     assert b"arm_joints" not in (tmp_path / "plain" / "dataset.json").read_bytes()
+
+
+def test_frames_without_a_reading_stay_so(source: Path, tmp_path: Path) -> None:
+    (source / "joints.csv").write_text("frame,q1 (°),q2 (°),q3 (°)\n0,,,\n1,10,20,30\n2,10,20,30\n")
+    surgbench("import", "masks", source, "--jaw", "half", "--out", tmp_path / "out")
+    assert validate(tmp_path / "out") == []
+    sequence = open_as(InstrumentDataset, tmp_path / "out").sequences[0]
+    assert_close(sequence.readings("left"), [[np.nan] * 3, *[np.deg2rad([10, 20, 30])] * 2])
 
 
 def test_degrees_are_one_line_with_the_option_that_makes_them_right(

@@ -12,6 +12,7 @@ from commandline import surgbench
 
 from surgbench.dataset.open import open_as
 from surgbench.instrument.arms import load_arm
+from surgbench.tasks.instrument.aligned import write_aligned
 from surgbench.tasks.instrument.dataset import InstrumentDataset
 
 CAMERA = {"width": 64, "height": 48, "fx": 80.0, "fy": 80.0, "cx": 31.5, "cy": 23.5}
@@ -61,3 +62,26 @@ def test_an_unknown_arm_is_one_line(source: Path, capsys: pytest.CaptureFixture[
     surgbench("import", "masks", source, "--joints-arm", "--robot-arm", "classic_40006", "--out", out, expect=2)
     assert "classic_400006" in capsys.readouterr().err
     assert not out.exists()
+
+
+@pytest.mark.parametrize("missing", [(), (1,)], ids=["even", "a frame is missing"])
+def test_late_readings_are_moved_with_all_six_joints(source: Path, missing: tuple[int, ...]) -> None:
+    """What was read a thirtieth of a second later belongs here: every joint, and what trackers are given of them."""
+    for frame in missing:
+        (source / "masks" / f"{frame:06d}.png").unlink()
+    dataset = imported(source)
+    (before,) = dataset.sequences
+    write_aligned(dataset, {("000", "left"): 1 / 30 / before.dt_s}, source.with_name("aligned"))
+    (sequence,) = open_as(InstrumentDataset, source.with_name("aligned")).sequences
+    six, three, given = sequence.arm_joints("left"), sequence.readings("left"), before.readings("left")
+    assert six is not None
+    assert three is not None
+    assert given is not None
+    frames = [frame for frame in range(FRAMES) if frame not in missing]
+    late = np.array(frames) + 1
+    inside = late < FRAMES
+    np.testing.assert_allclose(six[inside], JOINTS[0] + 0.01 * late[inside, None], atol=1e-12)
+    np.testing.assert_array_equal(three[inside, :2], six[inside, 4:])
+    np.testing.assert_allclose(three[inside, 2], given[0, 2], atol=1e-12)
+    assert np.isnan(six[~inside]).all()
+    assert np.isnan(three[~inside]).all()

@@ -22,6 +22,7 @@ from surgbench.records.reader import read_record
 from surgbench.tasks.instrument.dataset import InstrumentDataset
 from surgbench.tasks.instrument.estimates_file import read_estimates
 from surgbench.tasks.instrument.pose_table import POSE_COLUMNS, PoseTable, pose_columns
+from surgbench.tasks.instrument.records import REFERENCE_ERRORS
 
 
 @pytest.fixture(scope="module")
@@ -56,9 +57,24 @@ def test_the_truth_handed_in_scores_zero_in_every_column(
     surgbench("report", runs, "--format", "json", "--out", tmp_path / "board.json")
     (row,) = json.loads((tmp_path / "board.json").read_text())
     assert (row["row_id"], row["variant"], row["arms"], row["coverage"]) == ("mine", "from file", arms, 1.0)
-    assert row["tip_error_m"] == 0.0
+    wrong = {key: value for key, value in row.items() if "error" in key and key != "error" and value not in (0.0, None)}
+    assert not wrong
+    assert row["tip_error_m"] == row["mask_error_true"] == row["keypoint_error_px"] == 0.0
     assert row["latency_ms"] is None
     assert row["start_lag_ms"] is None  # where its search began nobody knows
+
+
+@pytest.mark.parametrize("arms", ["single", "dual"])
+def test_so_it_does_where_frames_are_missing(tmp_path: Path, arms: str) -> None:
+    dataset = make_pair(tmp_path / "gaps", sequences=1, steps=(0, 1, 5, 11))
+    surgbench("export", dataset.path, "--format", "csv", "--out", tmp_path / "csv")
+    assert sorted(set(table(tmp_path / "csv/truth.csv")["timestamp_s"])) == pytest.approx([0.0, 0.1, 0.5, 1.1])
+    score = ("score", dataset.path, tmp_path / "csv/truth.csv", "--name", "mine", "--arms", arms)
+    surgbench(*score, "--out", tmp_path / "runs")
+    surgbench("report", tmp_path / "runs", "--format", "json", "--out", tmp_path / "board.json")
+    (row,) = json.loads((tmp_path / "board.json").read_text())
+    assert {key for key in row if "error" in key and row[key] not in (0.0, None)} == set()
+    assert row["tip_error_m"] == row["mask_error"] == row["mask_error_true"] == 0.0
 
 
 def test_records_say_where_they_are_from_and_are_sealed(
@@ -157,7 +173,10 @@ def change(column: str, value: object, row: int = 1) -> Callable[[pd.DataFrame],
 ROTATIONS = ["qw", "qx", "qy", "qz", "alpha_rad", "beta_rad", "gamma_rad"]
 WRONG: dict[str, tuple[Callable[[pd.DataFrame], pd.DataFrame], str]] = {
     "a frame is missing": (lambda t: t.drop(index=2), "frame 2 of the left arm of '000' is missing.*--frames 2"),
-    "a frame is there twice": (change("frame", 0), r"line 3: frame 0 .* is there twice \(line 2\)"),
+    "a frame is there twice": (
+        lambda t: change("frame", 0)(t).drop(columns="timestamp_s"),
+        r"line 3: frame 0 .* is there twice \(line 2\)",
+    ),
     "a frame too many": (change("frame", FRAMES), "'frame' is 4; '000' has 0 to 3"),
     "unknown arm": (change("arm", "lefft"), "line 3: unknown arm 'lefft'; did you mean 'left'"),
     "unknown sequence": (change("sequence", "007"), "line 3: unknown sequence '007'"),
@@ -165,6 +184,14 @@ WRONG: dict[str, tuple[Callable[[pd.DataFrame], pd.DataFrame], str]] = {
     "degrees": (change("q1_rad", 45.0), "'q1' is 45 rad; for degrees name the column 'q1_deg'"),
     "degrees of the pose": (change("beta_rad", 120.0), "an angle is 120 rad; for degrees .* beta_deg"),
     "millimetres": (change("z_m", 130.0), "is 130 m away; for millimetres name the columns 'x_mm', 'y_mm', 'z_mm'"),
+    "metres called millimetres": (
+        lambda t: t.rename(columns={f"{axis}_m": f"{axis}_mm" for axis in "xyz"}),
+        "no wrist is further than .* mm from the camera; for metres name the columns 'x_m', 'y_m', 'z_m'",
+    ),
+    "OpenGL's camera": (
+        lambda t: t.assign(z_m=-t["z_m"], y_m=-t["y_m"]),
+        "every wrist is behind the camera .* OpenCV's, z forward and y down",
+    ),
     "two rotations": (change("beta_rad", 0.9), "its rotations differ by .* rad"),
     "no number": (change("x_m", "left"), "line 3: 'x_m' must be a number"),
     "nothing": (change("q3_rad", np.nan), "line 3: 'q3_rad' must be a number .*with lost 1"),
@@ -175,7 +202,34 @@ WRONG: dict[str, tuple[Callable[[pd.DataFrame], pd.DataFrame], str]] = {
     "no joint": (lambda t: t.drop(columns="q3_rad"), "has no column 'q3_rad' or 'q3_deg'"),
     "no unit": (lambda t: t.rename(columns={"x_m": "x"}), "no column 'x_m' or 'x_mm' .not 'x': the name says the unit"),
     "no arm": (lambda t: t.drop(columns="arm"), "has no column 'arm', and 'pairs' has more than one"),
-    "no frame": (lambda t: t.drop(columns="frame"), "has no column 'frame'"),
+    "no frame": (lambda t: t.drop(columns=["frame", "timestamp_s"]), "has no column 'frame' .*, nor 'timestamp_s'"),
+    "another frame's stamp": (change("timestamp_s", 0.2), "line 3: frame 1 has the timestamp_s of frame 2 of '000'"),
+    "a stamp between two frames": (
+        change("timestamp_s", 0.15),
+        "line 3: 'timestamp_s' is 0.15, which is no frame's; the nearest of '000' is 1, at 0.1 s",
+    ),
+    "stamps since 1970": (
+        lambda t: t.assign(timestamp_s=1.7e9 + t["timestamp_s"]),
+        "which is no frame's; .*; a column that counts otherwise has another name",
+    ),
+    "a stamp twice": (
+        lambda t: change("timestamp_s", 0.0)(t).drop(columns="frame"),
+        r"line 3: frame 0 .* is there twice \(line 2\)",
+    ),
+    "no stamp": (
+        lambda t: change("timestamp_s", np.nan)(t).drop(columns="frame"),
+        "line 3: 'timestamp_s' must be a number, not ''",
+    ),
+    "too many rows": (
+        lambda t: pd.concat([t, t.tail(1).assign(frame=FRAMES)]),
+        "line 18: 'frame' is 4; '001' has 0 to 3",
+    ),
+    "both of the jaws": (lambda t: t.assign(jaw_rad=0.1), "has both 'q3' .* and 'jaw'"),
+    "no matrix": (
+        lambda t: t.drop(columns=ROTATIONS).assign(**{f"r{i}{j}": 1.0 for i in (1, 2, 3) for j in (1, 2, 3)}),
+        "line 2: r11, r12, ... r33 is no rotation matrix",
+    ),
+    "half a quaternion": (lambda t: t.drop(columns="qw"), "has no column 'qw'"),
     "no rows": (lambda t: t.head(0), "holds no estimates"),
     "lost is no flag": (lambda t: t.assign(lost="maybe"), "line 2: 'lost' must be 0 or 1, not 'maybe'"),
 }
@@ -199,13 +253,24 @@ def test_wrong_files_options_and_datasets_are_one_line(
 ) -> None:
     for arguments, words in (
         ((tmp_path / "none.csv", "--name", "x"), "no such file"),
-        ((truth, "--name", "a b"), "'name'"),
+        ((truth, "--name", "a b"), "--name: must be letters, digits"),
         ((truth, "--name", "x", "--time-ms", "took"), "has no column 'took'"),
     ):
         surgbench("score", dataset.path, *arguments, "--out", tmp_path / "runs", expect=2)
         (line,) = capsys.readouterr().err.strip().splitlines()
         assert words in line
     assert not (tmp_path / "runs").exists()
+
+
+def test_stamps_may_stand_for_frames(dataset: InstrumentDataset, truth: Path, tmp_path: Path) -> None:
+    """Rounded as programs write them."""
+    rows = table(truth).drop(columns="frame")
+    rows["timestamp_s"] += 0.004
+    rows.sample(frac=1.0, random_state=1).to_csv(tmp_path / "e.csv", index=False)
+    for (sequence, arm), estimates in read_estimates(tmp_path / "e.csv", dataset).arms.items():
+        true = dataset.sequence(sequence).states(arm)
+        assert true is not None
+        np.testing.assert_allclose(estimates.states, true, rtol=1e-14, atol=1e-300)
 
 
 def test_tables_of_other_programs_are_read_too(dataset: InstrumentDataset, truth: Path, tmp_path: Path) -> None:
@@ -221,7 +286,7 @@ def test_tables_of_other_programs_are_read_too(dataset: InstrumentDataset, truth
     for (sequence, arm), estimates in read.arms.items():
         true = dataset.sequence(sequence).states(arm)
         assert true is not None
-        assert np.array_equal(estimates.states, true)
+        np.testing.assert_allclose(estimates.states, true, rtol=1e-14, atol=1e-300)
 
 
 def test_a_part_of_a_dataset_is_scored_as_a_part(dataset: InstrumentDataset, truth: Path, tmp_path: Path) -> None:
@@ -242,6 +307,8 @@ def test_recordings_without_truth_are_scored_by_their_masks(truth: Path, tmp_pat
         assert record["errors"]["mask_error"] == [0.0] * FRAMES
         assert record["errors"]["tip_error_m"] is None
         assert record["spec"]["readings"] == "noisy"
+        for name in REFERENCE_ERRORS:  # its tips and readings are those of the states
+            np.testing.assert_allclose(np.array(record["errors"][name], float), 0.0, atol=1e-9, err_msg=name)
 
 
 def test_estimates_from_a_file_are_drawn_as_any_others(

@@ -10,8 +10,10 @@ import numpy as np
 import pandas as pd
 import pytest
 from commandline import STRANGERS, surgbench
+from others import put_video
 from small_dataset import CAMERA, DRIVER, FRAMES, states_of
 
+from surgbench.camera import Camera
 from surgbench.instrument import load_instrument
 from surgbench.report.movie import write_video
 from surgbench.silhouette import SilhouetteEvaluator
@@ -83,6 +85,48 @@ def test_a_video_of_masks_and_a_whole_recording_are_tracked_alike(
     track(recording, tmp_path / "b.csv", "--no-video", "--joints")
     np.testing.assert_allclose(pd.read_csv(tmp_path / "b.csv")["q1_rad"], states_of("left")[:, 6], atol=1e-12)
     assert not (tmp_path / "b.mp4").exists()
+
+
+@pytest.mark.slow
+def test_who_says_nothing_else_gets_the_poses_of_a_video(tmp_path: Path) -> None:
+    """With the tracker and the search that are there unless told."""
+    camera = Camera(width=264, height=186, fx=340.0, fy=339.0, cx=109.0, cy=88.0)
+    evaluator, states = SilhouetteEvaluator([load_instrument(DRIVER)], camera), states_of("left")
+    put_video(tmp_path / "seg.avi", map(evaluator.mask, states), fps=20.0)
+    (tmp_path / "camera.json").write_text(camera.model_dump_json())
+    surgbench("track", tmp_path / "seg.avi", "--camera", tmp_path / "camera.json", "--out", tmp_path / "poses.csv")
+    poses = pd.read_csv(tmp_path / "poses.csv")
+    np.testing.assert_allclose(poses["timestamp_s"], np.arange(FRAMES) / 20)
+    off = np.abs(poses[["x_m", "y_m", "z_m"]].to_numpy() - states[:, 3:6])
+    assert (off < [0.0005, 0.0005, 0.003]).all()
+    assert not poses["lost"].any()
+    assert (tmp_path / "poses.mp4").stat().st_size > 0
+
+
+@pytest.mark.slow
+def test_two_instruments_in_one_mask_are_tracked_as_a_pair(
+    masks: list[np.ndarray], camera: Path, tmp_path: Path
+) -> None:
+    pairs = [mask | np.roll(mask[:, ::-1], 2, axis=1) for mask in masks]
+    source = write_masks(tmp_path / "masks", pairs)
+    track(source, tmp_path / "poses.csv", "--camera", camera, "--no-video", "--arms", "both")
+    poses = pd.read_csv(tmp_path / "poses.csv")
+    assert poses.groupby("arm")["frame"].apply(list).to_dict() == {
+        arm: list(range(FRAMES)) for arm in ("left", "right")
+    }
+
+
+def test_what_is_interrupted_leaves_nothing_and_says_so(
+    camera: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("surgbench.cli.tracking.Tracking.read", interrupted)
+    before = sorted(tmp_path.iterdir())
+    surgbench("track", tmp_path, "--camera", camera, "--out", tmp_path / "poses.csv", expect=130)
+    assert capsys.readouterr().err == "surgbench: interrupted; the same command again begins anew, nothing is left\n"
+    assert sorted(tmp_path.iterdir()) == before
 
 
 @pytest.mark.slow

@@ -705,7 +705,9 @@ def test_two_generations_do_not_share_a_folder(tmp_path: Path) -> None:
         generate(plan_dataset(FEW), tmp_path)
 
 
-def test_it_says_how_much_and_refuses_a_disk_that_lacks_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_disk_that_lacks_room_is_refused_before_anything_else(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     usage = namedtuple("usage", "total used free")
     monkeypatch.setattr(resumable.shutil, "disk_usage", lambda path: usage(10**9, 10**9 - 1000, 1000))
     said: list[str] = []
@@ -713,8 +715,19 @@ def test_it_says_how_much_and_refuses_a_disk_that_lacks_it(tmp_path: Path, monke
     plan = plan_dataset(load_preset("paper"))
     with pytest.raises(SurgbenchError, match=r"^[^\n]*the disk has 0 MB free but \d+ MB are needed[^\n]*$"):
         generate(plan, out, say=said.append)
-    assert said[0].startswith("paper: 16 pairs of trajectories, 16000 frames, about ")
+    assert not said
     assert not (tmp_path / "deep").exists()
+
+
+def test_nothing_is_planned_aloud_where_nothing_can_be_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def read_only(path: Path, data: bytes) -> None:
+        raise OSError(30, "Read-only file system", str(path))
+
+    said: list[str] = []
+    monkeypatch.setattr(resumable, "write_atomic", read_only)
+    with pytest.raises(SurgbenchError, match=r"generating\.json: cannot be written \(Read-only file system\)$"):
+        generate(plan_dataset(FEW), tmp_path, say=said.append)
+    assert not said
 
 
 def test_the_disk_estimate_covers_what_is_written(made: Path) -> None:
@@ -735,11 +748,13 @@ def test_a_full_disk_in_the_middle_is_one_line(tmp_path: Path, monkeypatch: pyte
             raise OSError(28, "No space left on device", str(path))
         write_atomic(path, data)
 
+    said: list[str] = []
     monkeypatch.setattr(writer, "write_atomic", full)
     with pytest.raises(
         SurgbenchError, match=r"^[^\n]*out: the disk is full; make room, then run the same command again"
     ):
-        generate(plan_dataset(FEW), tmp_path / "out")
+        generate(plan_dataset(FEW), tmp_path / "out", say=said.append)
+    assert "pairs of trajectories, " in said[0]
 
 
 def test_an_impossible_preset_leaves_no_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -283,6 +283,18 @@ def test_a_second_view_that_shows_nothing_harms_nobody(made: Path) -> None:
         assert np.linalg.norm(answer.state[3:6] - state[3:6]) < 0.02
 
 
+@pytest.mark.slow
+def test_the_truth_handed_in_scores_zero_beside_a_second_view(made: Path, tmp_path: Path) -> None:
+    """But against the masks that trackers see, which are corrupted."""
+    surgbench("export", made, "--format", "csv", "--out", tmp_path / "csv")
+    surgbench("score", made, tmp_path / "csv/truth.csv", "--name", "mine", "--out", tmp_path / "runs")
+    surgbench("report", tmp_path / "runs", "--format", "json", "--out", tmp_path / "board.json")
+    (row,) = json.loads((tmp_path / "board.json").read_text())
+    wrong = {key for key, value in row.items() if "error" in key and value not in (0.0, None)}
+    assert {key for key in wrong if not key.startswith("mask_error") or key.startswith("mask_error_true")} == set()
+    assert row["tip_error_m"] == row["mask_error_true"] == 0.0
+
+
 def test_the_preset_is_there_and_options_that_will_not_do_are_refused() -> None:
     preset = load_preset("auxiliary-view")
     assert preset.auxiliary is not None

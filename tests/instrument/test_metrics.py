@@ -26,6 +26,7 @@ from surgbench.metrics import (
 from surgbench.randomness import generator
 from surgbench.report.summary import summarise
 from surgbench.state import BETA, twin
+from surgbench.timing import steps_s
 
 CAMERA = Camera(width=700, height=493, fx=905.955, fy=904.820, cx=294.280, cy=238.699)
 QUARTER = np.pi / 2
@@ -178,6 +179,26 @@ def test_jitter_is_the_acceleration_of_the_midpoint() -> None:
     assert jitter(tips, dt_s) == pytest.approx(0.3)
     assert jitter(tips[:, ::-1], dt_s) == pytest.approx(0.3)
     assert np.isnan(jitter(tips[:2], dt_s))
+
+
+def test_jitter_goes_by_the_time_where_frames_are_missing() -> None:
+    """Constant velocity has none, constant acceleration its own, whatever gaps there are."""
+    time = np.delete(0.04 * np.arange(40, dtype=np.float64), [3, 4, 11, 25, 26, 27, 28, 39])
+    steps = steps_s(time, 0.04)
+    even, falling = np.outer(time, [0.3, -0.1, 0.05]), np.outer(time**2 / 2, [0.0, 0.6, 0.8])
+    for path, acceleration in ((even, 0.0), (even + falling, 1.0)):
+        tips = np.stack([path + 0.004, path - 0.004], axis=1)
+        assert jitter(tips, steps) == pytest.approx(acceleration, abs=1e-9)
+        tips[7] = np.nan
+        assert jitter(tips, steps) == pytest.approx(acceleration, abs=1e-9)
+    regular = np.random.default_rng(0).normal(size=(9, 2, 3))
+    assert jitter(regular, np.full(8, 0.04)) == jitter(regular, 0.04)
+
+
+def test_lag_goes_by_the_time_where_frames_are_missing() -> None:
+    time = np.delete(0.04 * np.arange(40, dtype=np.float64), [3, 4, 11, 25, 26, 27, 28])[:, None]
+    late_s, rate = 0.05, np.array([0.02, -0.01, 0.005])
+    assert lag((time - late_s) * rate, time * rate, steps_s(time[:, 0], 0.04)) == pytest.approx(late_s, abs=1e-12)
 
 
 @pytest.mark.parametrize("frames_late", [-2, 0, 1, 3])

@@ -26,7 +26,13 @@ from surgbench.silhouette import Reference, SilhouetteEvaluator
 from surgbench.state import JOINTS, twin
 from surgbench.tasks.instrument.dataset import InstrumentDataset
 from surgbench.tasks.instrument.execute import _errors, _mask_errors
-from surgbench.tasks.instrument.records import ABSENT, REFERENCE_ERRORS, REFERENCE_JOINTS, REFERENCE_TIPS
+from surgbench.tasks.instrument.records import (
+    ABSENT,
+    REFERENCE_ERRORS,
+    REFERENCE_JOINTS,
+    REFERENCE_KEYPOINTS,
+    REFERENCE_TIPS,
+)
 from surgbench.tasks.instrument.rows import INSTRUMENT_COLUMNS, RECORDING_COLUMNS
 from surgbench.tasks.instrument.units import UnitData
 from surgbench.tasks.instrument.worker import Answer
@@ -86,8 +92,11 @@ def test_what_a_recording_holds_has_no_error(data: UnitData, estimate: FloatArra
     errors = errors_of(data, [answer(estimate)] * FRAMES)
     for name in REFERENCE_ERRORS:
         values = np.array(errors[name], dtype=np.float64)
-        assert np.isnan(values).any(axis=1).tolist() == [frame in AWAY for frame in range(FRAMES)]
-        np.testing.assert_allclose(values[~np.isnan(values)], 0.0, atol=1e-4 if name == REFERENCE_TIPS else 1e-12)
+        # In the last frame one tip is marked.
+        lacking = {*AWAY, FRAMES - 1} if name == REFERENCE_KEYPOINTS else AWAY
+        assert np.isnan(values).any(axis=1).tolist() == [frame in lacking for frame in range(FRAMES)]
+        atol = 2e-4 if name in (REFERENCE_TIPS, REFERENCE_KEYPOINTS) else 1e-12
+        np.testing.assert_allclose(values[~np.isnan(values)], 0.0, atol=atol)
     assert errors["rotation_error_rad"] is None
     assert errors["mask_error_true"] is None
 
@@ -100,6 +109,7 @@ def test_errors_are_those_of_the_tips_and_joints(data: UnitData, driver: Instrum
         CAMERA.project(driver.tips_cam(estimate)) - CAMERA.project(driver.tips_cam(resting_state())), axis=1
     )
     assert errors[REFERENCE_TIPS][0] == pytest.approx([off.mean()], rel=1e-3)
+    assert errors[REFERENCE_KEYPOINTS][0] == pytest.approx([off.sum()], rel=1e-3)
     assert errors[REFERENCE_TIPS][FRAMES - 1] == pytest.approx([off[0]], rel=1e-3)  # where one tip is marked
 
 

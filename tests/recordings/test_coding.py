@@ -225,3 +225,11 @@ def test_instances_come_back_from_their_text(groups: dict[str, frozenset[int]]) 
 def test_no_values_are_refused_with_an_example(text: str) -> None:
     with pytest.raises(ConfigError, match=r"--label: must be values \(5 or 1,2\) or colours as red/green/blue"):
         parse_codes(text, "--label")
+
+
+def test_a_value_of_one_mask_alone_is_named_with_the_option_that_does_without() -> None:
+    noise = painted({1: np.indices(SHAPE).sum(axis=0) % 3 == 0})
+    masks = [painted({255: instrument(frame)}) for frame in range(5)]
+    says = r"1 are 80 pixels in the mask of frame 2; without: --label 255\)"
+    with pytest.raises(ConfigError, match=says):
+        read_coding(Given(*masks[:2], noise, *masks[2:]), Told())

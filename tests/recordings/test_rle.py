@@ -64,6 +64,12 @@ def test_polygons_cover_their_pixels() -> None:
     assert np.array_equal(mask, expected)
 
 
+@pytest.mark.parametrize("counts", [[2**62] * 4 + [48], [2**70], [None], [[1], 2]])
+def test_runs_that_are_no_lengths_are_refused(counts: list[int]) -> None:
+    with pytest.raises(ValueError, match=r"an RLE|inhomogeneous"):
+        decode_rle(counts, 6, 8)
+
+
 def test_polygons_are_as_large_as_their_area() -> None:
     """A disc's, that leaves the picture on the right; pixels count by their centres."""
     turn = np.linspace(0, 2 * np.pi, 400, endpoint=False)
@@ -72,6 +78,44 @@ def test_polygons_are_as_large_as_their_area() -> None:
     rows, columns = np.indices(mask.shape)
     disc = np.hypot(columns + 0.5 - 50, rows + 0.5 - 30.2) < 20.3
     assert (mask ^ disc).sum() <= 2
+
+
+@pytest.mark.parametrize(
+    ("polygon", "counts"),
+    [
+        ([3.2, 1.7, 17.9, 4.4, 9.3, 15.1], "R23=2N2O1N2N2NO1N2O2N1O1N2O1Om0"),
+        (  # beyond the picture on three sides
+            [-4.0, 3.3, 22.6, -2.1, 25.0, 14.2, 6.5, 9.9, 11.1, 19.0],
+            "35:2O1O1O1N2O1OLOJ062IM841000001O000000001O00",
+        ),
+        (  # a point that is there twice, and an outline that crosses itself
+            [2.5, 2.5, 2.5, 2.5, 13.5, 2.5, 13.5, 9.5, 2.5, 9.5, 13.5, 6.1],
+            "i11?0J0L040K15OK15OK150I17OI17OI170H084m2",
+        ),
+    ],
+)
+def test_polygons_are_filled_as_pycocotools_did(polygon: list[float], counts: str) -> None:
+    assert np.array_equal(draw_polygons([polygon], 16, 20), decode_rle(counts, 16, 20))
+
+
+coordinates = st.one_of(st.integers(-90, 190).map(lambda third: third / 3), st.floats(-30, 70))
+outlines = st.lists(coordinates, min_size=6, max_size=30).map(lambda numbers: numbers[: len(numbers) // 2 * 2])
+
+
+@pytest.mark.extras
+@pytest.mark.filterwarnings("ignore:__array__:DeprecationWarning")  # of pycocotools
+@given(polygons=st.lists(outlines, min_size=1, max_size=3), height=st.integers(1, 50), width=st.integers(1, 50))
+def test_polygons_are_filled_as_pycocotools_does(polygons: list[list[float]], height: int, width: int) -> None:
+    coco_mask = pytest.importorskip("pycocotools.mask")
+    theirs = coco_mask.decode(coco_mask.merge(coco_mask.frPyObjects(polygons, height, width)))
+    assert np.array_equal(draw_polygons(polygons, height, width), theirs.astype(bool))
+
+
+def test_polygons_that_cannot_be_drawn_are_refused() -> None:
+    with pytest.raises(ValueError, match="less than three points"):
+        draw_polygons([[1.0, 2.0, 3.0, 4.0]], 6, 8)
+    with pytest.raises(ValueError, match="reaches 1e\\+09, far outside of 8x6"):
+        draw_polygons([[0.0, 0.0, 1e9, 0.0, 3.0, 4.0]], 6, 8)
 
 
 def annotation(image: int, mask: np.ndarray, category: int = 1) -> dict[str, Any]:

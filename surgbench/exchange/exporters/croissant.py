@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Annotated, Any, ClassVar
 
 from pydantic import Field
@@ -17,9 +17,26 @@ from surgbench.dataset.storage import file_entry
 from surgbench.dataset.tables import FRAME
 from surgbench.errors import ConfigError
 from surgbench.exporting import Material
-from surgbench.tasks.instrument.dataset import InstrumentDataset, Sequence, observation_columns, state_columns
+from surgbench.tasks.instrument.auxiliary import auxiliary_columns, pose_columns
+from surgbench.tasks.instrument.dataset import (
+    InstrumentDataset,
+    Sequence,
+    labelled_columns,
+    observation_columns,
+    state_columns,
+    visibility_columns,
+)
 from surgbench.tasks.instrument.exported import dataset_of
-from surgbench.tasks.instrument.format import IMAGE_KIND, states_path
+from surgbench.tasks.instrument.format import (
+    IMAGE_KIND,
+    clean_mask_path,
+    labels_path,
+    observed_path,
+    poses_path,
+    states_path,
+    view_folder,
+    visibility_path,
+)
 
 CONFORMS_TO = "http://mlcommons.org/croissant/1.0"
 # Terms of the standard, as it lists them.
@@ -98,7 +115,7 @@ class CroissantExporter(Plugin):
             "conformsTo": CONFORMS_TO,
             "name": dataset.name,
             "description": (
-                f"Masks of surgical instruments and their poses and joints, {dataset.manifest.origin}: "
+                f"Surgical instruments, {dataset.manifest.origin}: {_contents(dataset)}; "
                 f"{dataset.manifest.counts}. " + " ".join(f"{k}: {v}." for k, v in dataset.manifest.conventions.items())
             ),
             "version": own.version,
@@ -149,24 +166,59 @@ class CroissantExporter(Plugin):
 
 
 def _tables_of(sequence: Sequence) -> list[tuple[str, str, list[str]]]:
-    tables = [("observations", observations_path(sequence.id), observation_columns(sequence.entry))]
-    if sequence.entry.truth:
-        tables.append(("states", states_path(sequence.id), state_columns(sequence.entry)))
+    entry = sequence.entry
+    tables = [("observations", observations_path(entry.id), observation_columns(entry))]
+    if entry.truth:
+        tables.append(("states", states_path(entry.id), state_columns(entry)))
+    if entry.visibility:
+        tables.append(("visibility", visibility_path(entry.id), visibility_columns(entry)))
+    if entry.labels:
+        tables.append(("labels", labels_path(entry.id), labelled_columns(entry)))
+    for name, view in entry.auxiliary.items():
+        folder = view_folder(entry.id, name)
+        tables.append((f"view-{name}", observations_path(folder), auxiliary_columns(view)))
+        if entry.truth:
+            tables.append((f"view-{name}-poses", poses_path(folder), pose_columns(view)))
     return tables
 
 
 def _pictures(dataset: InstrumentDataset) -> list[dict[str, Any]]:
-    """Sets of the masks of each kind, observed and clean, and of the camera's pictures."""
+    """Sets of the masks of each kind, observed and clean, of each view, and of the camera's pictures.
+
+    Sequences are named one by one: a star that crosses folders would find the views' masks among the camera's own.
+    """
+    sets: dict[str, tuple[str, list[str]]] = {}
+
+    def add(name: str, description: str, place: str) -> None:
+        sets.setdefault(name, (description, []))[1].append(str(PurePosixPath(place).with_name("*.png")))
+
+    for entry in (sequence.entry for sequence in dataset.sequences):
+        views = [("", entry.id, entry.kinds)]
+        views += [(f"view-{name}-", view_folder(entry.id, name), view.kinds) for name, view in entry.auxiliary.items()]
+        for prefix, folder, kinds in views:
+            for kind in kinds:
+                add(f"{prefix}masks-{kind}", "Observed masks.", observed_path(folder, kind, 0))
+                if entry.truth:
+                    place = clean_mask_path(folder, kind, 0)
+                    add(f"{prefix}true-masks-{kind}", "Masks before corruption.", place)
+        if entry.images:
+            add("images", "Pictures.", observed_path(entry.id, IMAGE_KIND, 0))
+    return [_file_set(name, includes, "image/png", description) for name, (description, includes) in sets.items()]
+
+
+def _contents(dataset: InstrumentDataset) -> str:
+    """What a dataset has, in a few words."""
     entries = [sequence.entry for sequence in dataset.sequences]
-    sets = []
-    for kind in dict.fromkeys(kind for entry in entries for kind in entry.kinds):
-        sets.append(_file_set(f"masks-{kind}", [f"sequences/*/observed/{kind}/*.png"], "image/png", "Observed masks."))
-        if any(entry.truth and kind in entry.kinds for entry in entries):
-            name, words = f"true-masks-{kind}", "Masks before corruption."
-            sets.append(_file_set(name, [f"truth/*/masks/{kind}/*.png"], "image/png", words))
-    if any(entry.images for entry in entries):
-        sets.append(_file_set("images", [f"sequences/*/observed/{IMAGE_KIND}/*.png"], "image/png", "Pictures."))
-    return sets
+    there = {
+        "masks": any(entry.kinds for entry in entries),
+        "pictures": any(entry.images for entry in entries),
+        "marked points": any(entry.labels for entry in entries),
+        "tips": any(entry.keypoints for entry in entries),
+        "joint readings": any(entry.readings or entry.arm_joints for entry in entries),
+        "true poses and joints": any(entry.truth for entry in entries),
+        "auxiliary views": any(entry.auxiliary for entry in entries),
+    }
+    return ", ".join(word for word, has in there.items() if has)
 
 
 def _file_set(name: str, includes: list[str], encoding: str, description: str) -> dict[str, Any]:

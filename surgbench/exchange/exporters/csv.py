@@ -14,7 +14,7 @@ from surgbench.geometry import FloatArray
 from surgbench.tasks.instrument.dataset import InstrumentDataset
 from surgbench.tasks.instrument.exported import dataset_of, frames_in, rows_in
 from surgbench.tasks.instrument.pose_table import DEVIATION_COLUMNS, POSE_COLUMNS, TIP_COLUMNS, pose_columns
-from surgbench.tasks.instrument.tables import KEYPOINT_COLUMNS, READING_COLUMNS
+from surgbench.tasks.instrument.tables import ARM_JOINT_COLUMNS, KEYPOINT_COLUMNS, READING_COLUMNS, label_columns
 from surgbench.tasks.instrument.tracks import Track, truth_tracks
 
 HEAD = ("sequence", "arm", "frame", "timestamp_s")
@@ -41,7 +41,11 @@ class CsvExporter(Plugin):
         truth = truth_tracks(dataset)
         if truth:
             write_tracks(folder / "truth.csv", truth, lambda frames: None)
-        _write(folder / "observed.csv", (*HEAD, *KEYPOINT_COLUMNS, *READING_COLUMNS), _observed(dataset, progress))
+        labels = list(dict.fromkeys(label for sequence in dataset.sequences for label in sequence.entry.labels))
+        six = any(sequence.entry.arm_joints for sequence in dataset.sequences)
+        header = [*HEAD, *KEYPOINT_COLUMNS, *READING_COLUMNS, *(ARM_JOINT_COLUMNS if six else ())]
+        header += [column for label in labels for column in label_columns(label)]
+        _write(folder / "observed.csv", header, _observed(dataset, labels, progress, six=six))
 
 
 def write_tracks(path: Path, tracks: list[Track], progress: Callable[[float], None]) -> None:
@@ -71,14 +75,21 @@ def write_tracks(path: Path, tracks: list[Track], progress: Callable[[float], No
     _write(path, header, rows())
 
 
-def _observed(dataset: InstrumentDataset, progress: Callable[[float], None]) -> Iterable[list[Any]]:
-    """Tips and readings, empty where there are none."""
+def _observed(
+    dataset: InstrumentDataset, labels: list[str], progress: Callable[[float], None], *, six: bool
+) -> Iterable[list[Any]]:
+    """Tips, readings, the arm's six joints and marked points, empty where there are none."""
     for sequence in dataset.sequences:
         for arm in sequence.arms:
-            readings = sequence.readings(arm)
+            marked = sequence.labels(arm)
+            known = [
+                (sequence.keypoints(arm).reshape(-1, len(KEYPOINT_COLUMNS)), KEYPOINT_COLUMNS),
+                (sequence.readings(arm), READING_COLUMNS),
+                (sequence.arm_joints(arm), ARM_JOINT_COLUMNS if six else ()),
+                *((marked.get(label), label_columns(label)) for label in labels),
+            ]
             columns = [
-                sequence.keypoints(arm).reshape(-1, len(KEYPOINT_COLUMNS)),
-                np.full((sequence.frames, len(READING_COLUMNS)), np.nan) if readings is None else readings,
+                np.full((sequence.frames, len(names)), np.nan) if values is None else values for values, names in known
             ]
             yield from _numbered(sequence.id, arm, range(sequence.frames), sequence.timestamps_s, columns)
             progress(sequence.frames)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from surgbench.metrics import INTERVAL_COVERAGES
 from surgbench.report.column import ROW, VARIANT, Column
-from surgbench.tasks.instrument.records import REFERENCE_JOINTS, REFERENCE_TIPS
+from surgbench.tasks.instrument.records import REFERENCE_JOINTS, REFERENCE_KEYPOINTS, REFERENCE_TIPS
 
 MASK = Column("mask_error", "mask error", "", 3, short="mask\nerror", best=True)
 TRUE_MASK = Column("mask_error_true", "true mask error", "", 3, short="true\nmask", best=True, from_width=100)
@@ -15,6 +15,8 @@ TRANSLATION = Column("translation_error_m", "translation", "mm", 2, 1000.0, shor
 TIPS = Column("tip_error_m", "tips", "mm", 2, 1000.0, short="tips\nmm", best=True, from_width=100)
 JOINTS = tuple(Column(f"q{n}_error_rad", f"q{n}", "rad", 3, short=f"q{n}\nrad", best=True) for n in (1, 2, 3))
 KEYPOINTS = Column("keypoint_error_px", "keypoints", "px", 1, short="tips\npx", best=True)
+# What papers say of recordings is of the marked tips.
+IN_RECORDINGS = {KEYPOINTS.key: REFERENCE_KEYPOINTS}
 # What recordings have in place of truth: nobody's best, for they err themselves.
 MARKED_TIPS = Column(REFERENCE_TIPS, "marked tips", "px", 1, short="marked\ntips px")
 READ_JOINTS = tuple(

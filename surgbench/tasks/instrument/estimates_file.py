@@ -14,11 +14,15 @@ from numpy.typing import NDArray
 from surgbench.errors import DatasetError, unknown_name
 from surgbench.geometry import FloatArray
 from surgbench.tasks.instrument.dataset import InstrumentDataset
+from surgbench.tasks.instrument.dataset import Sequence as RecordedSequence
 from surgbench.tasks.instrument.format import Arm
 from surgbench.tasks.instrument.pose_table import DEVIATION_COLUMNS, PoseTable
 
 SEPARATORS = ",;\t"
 TRUE, FALSE = ("1", "1.0", "true", "yes"), ("0", "0.0", "false", "no", "")
+STAMP = "timestamp_s"
+# A stamp is of the frame that is nearer than this share of a step: rounded, but not between two.
+STAMP_SHARE = 0.1
 HOW_TO_CALL = "the columns that 'surgbench export --format csv' writes"
 
 
@@ -64,7 +68,8 @@ def read_estimates(
     Args:
         path: CSV with a header: ``sequence``, ``arm``, ``frame``, the columns of
             :mod:`surgbench.tasks.instrument.pose_table`, and where they are known ``confidence`` and ``lost`` (0 or 1).
-            Other columns are passed over. What the dataset has only one of need not be named.
+            Other columns are passed over. What the dataset has only one of need not be named. ``timestamp_s`` must be
+            the frames' times, and may stand in the place of ``frame``.
         dataset: Its sequences, arms and frames are those of the file.
         frames: Only the first so many of each sequence are wanted.
         time_column: Holds the milliseconds that each frame took.
@@ -90,6 +95,7 @@ def read_estimates(
     groups = _groups(path, places, lines, dataset, frames)
     table = PoseTable(str(path), header, _numbers(rows, len(header)), lines)
     states = table.states()
+    table.check_place(states[:, 3:6])
     times = None if time_column is None else table.numbers(time_column)
     if times is not None and (times < 0).any():
         line = lines[int(np.argmax(times < 0))]
@@ -137,12 +143,12 @@ def _places(
     # A table that was read and written by another program may have lost zeros: 000 became 0.
     known = {**{str(int(one)): one for one in ids if one.isdecimal()}, **{one: one for one in ids}}
     arms = {sequence.id: sequence.arms for sequence in dataset.sequences}
-    at = {name: header.index(name) for name in ("sequence", "arm", "frame") if name in header}
+    at = {name: header.index(name) for name in ("sequence", "arm", "frame", STAMP) if name in header}
     for name, only in (("sequence", len(ids) == 1), ("arm", all(len(own) == 1 for own in arms.values()))):
         if name not in at and not only:
             raise DatasetError(f"{path}: has no column '{name}', and '{dataset.name}' has more than one")
-    if "frame" not in at:
-        raise DatasetError(f"{path}: has no column 'frame' (from 0)")
+    if "frame" not in at and STAMP not in at:
+        raise DatasetError(f"{path}: has no column 'frame' (from 0), nor '{STAMP}' (seconds from the first frame)")
     found = []
     for cells, line in zip(rows, lines, strict=True):
         asked = cells[at["sequence"]] if "sequence" in at else ids[0]
@@ -152,12 +158,41 @@ def _places(
         arm = cells[at["arm"]].lower() if "arm" in at else arms[sequence][0]
         if arm not in arms[sequence]:
             raise DatasetError(f"{path}: line {line}: {unknown_name('arm', arm, arms[sequence])}")
+        stamp = cells[at[STAMP]] if STAMP in at else ""
+        stamped = _stamped(path, line, stamp, dataset.sequence(sequence)) if stamp or "frame" not in at else None
+        if "frame" not in at:
+            assert stamped is not None
+            found.append((sequence, arm, stamped))
+            continue
         frame = cells[at["frame"]].removesuffix(".0")
         if not frame.isdecimal() or int(frame) >= dataset.length(sequence):
             last = dataset.length(sequence) - 1
             raise DatasetError(f"{path}: line {line}: 'frame' is {frame or 'empty'}; '{sequence}' has 0 to {last}")
+        if stamped is not None and stamped != int(frame):
+            raise DatasetError(
+                f"{path}: line {line}: frame {frame} has the {STAMP} of frame {stamped} of '{sequence}'; mend or leave "
+                "out one of the columns"
+            )
         found.append((sequence, arm, int(frame)))
     return found
+
+
+def _stamped(path: Path, line: int, cell: str, sequence: RecordedSequence) -> int:
+    """The frame whose time a stamp is."""
+    times_s = sequence.timestamps_s
+    try:
+        off = np.abs(times_s - float(cell))
+    except ValueError:
+        raise DatasetError(f"{path}: line {line}: '{STAMP}' must be a number, not '{cell}'") from None
+    step_s = float(np.diff(times_s).min()) if len(times_s) > 1 else sequence.dt_s
+    nearest = int(np.argmin(off))
+    if not off[nearest] <= STAMP_SHARE * step_s:
+        raise DatasetError(
+            f"{path}: line {line}: '{STAMP}' is {cell}, which is no frame's; the nearest of '{sequence.id}' is "
+            f"{nearest}, at {times_s[nearest]:.6g} s from the first; a column that counts otherwise has another name, "
+            "beside a column 'frame'"
+        )
+    return nearest
 
 
 def _groups(

@@ -24,6 +24,7 @@ from surgbench.tasks.instrument.records import ANSWER_COLUMNS, ARM_COLUMNS, SHAR
 from surgbench.tasks.instrument.references import absent_from_masks, reference_errors
 from surgbench.tasks.instrument.units import UnitData
 from surgbench.tasks.instrument.worker import Answer, Setup, waiting
+from surgbench.timing import steps_s
 
 WORKER = "surgbench.tasks.instrument.worker"
 
@@ -233,7 +234,7 @@ def _errors(
     tips = [instrument.tips_cam(states[:, arm]) for arm, instrument in enumerate(data.instruments)]
     errors["lag_ms"] = _lags(states, data)
     errors["start_lag_ms"] = _lags(starts, data)
-    errors["jitter"] = _finite(np.array([metrics.jitter(arm, data.sequence.dt_s) for arm in tips]))
+    errors["jitter"] = _finite(np.array([metrics.jitter(arm, _steps(data, len(answers))) for arm in tips]))
     return errors
 
 
@@ -286,8 +287,14 @@ def _lags(states: FloatArray, data: UnitData) -> list[Any] | None:
     if data.truth is None:
         return None
     places, true_places = states[..., POSITION], data.truth[: len(states), :, POSITION]
-    lags = [metrics.lag(places[:, arm], true_places[:, arm], data.sequence.dt_s) for arm in range(states.shape[1])]
+    steps = _steps(data, len(states))
+    lags = [metrics.lag(places[:, arm], true_places[:, arm], steps) for arm in range(states.shape[1])]
     return _finite(1e3 * np.array(lags))
+
+
+def _steps(data: UnitData, frames: int) -> FloatArray:
+    """Seconds from each of a unit's first frames to the next."""
+    return steps_s(data.sequence.timestamps_s[:frames], data.sequence.dt_s)
 
 
 def _finite(values: FloatArray) -> list[Any]:

@@ -14,7 +14,7 @@ from surgbench.contract import Mask
 from surgbench.errors import DatasetError
 from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument
-from surgbench.tasks.instrument.format import Arm, MaskKind, SequenceEntry
+from surgbench.tasks.instrument.format import Arm, AuxiliaryEntry, MaskKind, SequenceEntry
 
 BOTH: Literal["both"] = "both"
 
@@ -35,6 +35,24 @@ class Shot:
 
 
 @dataclass(frozen=True)
+class SecondView:
+    """What a further camera, which stays where it is, saw of a sequence without true states.
+
+    Attributes:
+        camera: Lens included.
+        T_view_cam: ``(4, 4)`` from the frame of the sequence's camera to this one's, metres.
+        masks: Makes an iterator over the masks of all frames: arm to ``(height, width)``, of the arms that the
+            sequence has masks of.
+        tips: As :attr:`Footage.tips`.
+    """
+
+    camera: Camera
+    T_view_cam: FloatArray
+    masks: Callable[[], Iterator[Mapping[str, Mask]]]
+    tips: Mapping[Arm, FloatArray] | None = None
+
+
+@dataclass(frozen=True)
 class Footage:
     """One sequence as an importer found it; pixels are those of its camera, lens included.
 
@@ -52,6 +70,7 @@ class Footage:
         arm_joints: Arm to ``(frames, 6)`` readings, likewise.
         labels: Name to arm to ``(frames, 2)`` marked points.
         states: Arm to ``(frames, 9)`` true states.
+        views: Name to what a further camera saw.
         speed: How fast the instruments move.
         halved: The dataset has pictures of half the size.
         dt_s: Seconds from frame to frame where there are no two, or where they are ``regular``; else the median counts.
@@ -71,29 +90,34 @@ class Footage:
     arm_joints: Mapping[Arm, FloatArray] | None = None
     labels: Mapping[str, Mapping[Arm, FloatArray]] = field(default_factory=dict)
     states: Mapping[Arm, FloatArray] | None = None
+    views: Mapping[str, SecondView] = field(default_factory=dict)
     speed: Literal["nominal", "fast"] = "nominal"
     halved: bool = False
     dt_s: float = 1.0 / 30.0
     regular: bool = False
 
     @property
-    def written_camera(self) -> Camera:
-        """The camera of what is written: without a lens, and where asked for of half the size."""
-        camera = self.camera.pinhole
-        return half(camera) if self.halved else camera
+    def all_kinds(self) -> tuple[MaskKind, ...]:
+        """Of the masks that are written: with two arms their union too."""
+        return (*self.kinds, BOTH) if len(self.kinds) == 2 else self.kinds
 
-    def entry(self, camera: str, instruments: Mapping[Arm, Instrument]) -> SequenceEntry:
-        """What the manifest says of it."""
+    def entry(self, names: Mapping[Camera, str], instruments: Mapping[Arm, Instrument]) -> SequenceEntry:
+        """What the manifest says of it.
+
+        Args:
+            names: Of the cameras of what is written.
+            instruments: Of each arm.
+        """
         steps = np.diff(self.times_s)
         return SequenceEntry(
             id=self.id,
             frames=len(self.times_s),
             dt_s=float(np.median(steps)) if len(steps) and not self.regular else self.dt_s,
             speed=self.speed,
-            camera=camera,
+            camera=names[written(self.camera, halved=self.halved)],
             arms=self.arms,
             instruments={arm: instruments[arm].name for arm in self.arms},
-            kinds=(*self.kinds, BOTH) if len(self.kinds) == 2 else self.kinds,
+            kinds=self.all_kinds,
             images=self.images,
             keypoints=self.tips is not None,
             readings=self.joints is not None,
@@ -101,7 +125,20 @@ class Footage:
             labels=tuple(self.labels),
             truth=self.states is not None,
             source_frames=tuple(self.names),
+            auxiliary={
+                name: AuxiliaryEntry(
+                    camera=names[written(view.camera, halved=self.halved)],
+                    kinds=self.all_kinds,
+                    keypoints=view.tips is not None,
+                )
+                for name, view in self.views.items()
+            },
         )
+
+
+def written(camera: Camera, *, halved: bool) -> Camera:
+    """The camera of what is written of a recording: without a lens, and where asked for of half the size."""
+    return half(camera.pinhole) if halved else camera.pinhole
 
 
 def half(camera: Camera) -> Camera:

@@ -7,12 +7,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from surgbench.camera import Camera
-from surgbench.camera.undistortion import Undistortion, undistort_points
 from surgbench.contract import Mask
 from surgbench.dataset import tables
 from surgbench.dataset.manifest import MANIFEST_NAME, FileEntry, observations_path
@@ -20,12 +17,14 @@ from surgbench.dataset.masks import encode_image, encode_mask
 from surgbench.dataset.storage import file_entry, new_folder
 from surgbench.dataset.writer import write_files
 from surgbench.errors import DatasetError
-from surgbench.geometry import FloatArray
+from surgbench.geometry import FloatArray, rotation_vector
 from surgbench.instrument import Instrument, save_instrument
 from surgbench.recordings.shares import Shares
-from surgbench.tasks.instrument.footage import BOTH, Footage, Shot, half
+from surgbench.tasks.instrument.auxiliary import keypoint_columns, kind_arms
+from surgbench.tasks.instrument.footage import BOTH, Footage, SecondView, Shot, written
 from surgbench.tasks.instrument.format import (
     ARM_JOINTS_CONVENTION,
+    AUXILIARY_CONVENTION,
     CONVENTIONS,
     IMAGE_KIND,
     LABELS_CONVENTION,
@@ -36,12 +35,15 @@ from surgbench.tasks.instrument.format import (
     labels_path,
     observed_path,
     states_path,
+    view_folder,
 )
+from surgbench.tasks.instrument.straightened import Straightened
 from surgbench.tasks.instrument.tables import (
     ARM_JOINT_COLUMNS,
     KEYPOINT_COLUMNS,
     READING_COLUMNS,
     STATE_COLUMNS,
+    VIEW_COLUMNS,
     arm_columns,
     label_columns,
 )
@@ -80,7 +82,13 @@ def write_import(
     if not footages:
         raise DatasetError(f"{name}: no frames")
     models = {model.name: model for model in instruments.values()}
-    cameras = _named_cameras([footage.written_camera for footage in footages])
+    cameras = _named_cameras(
+        [
+            written(camera, halved=footage.halved)
+            for footage in footages
+            for camera in (footage.camera, *(view.camera for view in footage.views.values()))
+        ]
+    )
     lines: list[str] = []
     with new_folder(out) as scratch:
         files: dict[str, FileEntry] = {}
@@ -89,8 +97,7 @@ def write_import(
             files |= {path.relative_to(scratch).as_posix(): file_entry(path.read_bytes()) for path in saved}
         entries = []
         for footage in footages:
-            names = [key for key, camera in cameras.items() if camera == footage.written_camera]
-            entries.append(footage.entry(names[0], instruments))
+            entries.append(footage.entry({camera: key for key, camera in cameras.items()}, instruments))
             writer = _Writer(footage, scratch, progress)
             files |= writer.write()
             lines += writer.told() if tell else ()
@@ -126,7 +133,12 @@ def _optics(footages: Sequence[Footage]) -> dict[str, Any]:
 def _further_conventions(footages: Sequence[Footage]) -> dict[str, str]:
     joints = any(footage.arm_joints is not None for footage in footages)
     labels = any(footage.labels for footage in footages)
-    return (ARM_JOINTS_CONVENTION if joints else {}) | (LABELS_CONVENTION if labels else {})
+    views = any(footage.views for footage in footages)
+    return (
+        (ARM_JOINTS_CONVENTION if joints else {})
+        | (LABELS_CONVENTION if labels else {})
+        | (AUXILIARY_CONVENTION if views else {})
+    )
 
 
 def _named_cameras(cameras: Sequence[Camera]) -> dict[str, Camera]:
@@ -141,10 +153,11 @@ class _Writer:
 
     def __init__(self, footage: Footage, root: Path, progress: Callable[[float], None]) -> None:
         self._footage, self._root, self._progress = footage, root, progress
-        self._lenses = {(footage.camera.width, footage.camera.height): Undistortion(footage.camera)}
-        if footage.halved:
-            small = half(footage.camera)
-            self._lenses[small.width, small.height] = Undistortion(small)
+        self._straight = Straightened(footage.camera, halved=footage.halved, who=footage.id)
+        self._views = {
+            name: Straightened(view.camera, halved=footage.halved, who=f"{footage.id}, {name}")
+            for name, view in footage.views.items()
+        }
         self._shares = Shares()
         self._outside = 0
 
@@ -159,10 +172,15 @@ class _Writer:
                 dict(zip(arm_columns(arm, STATE_COLUMNS), footage.states[arm].T, strict=True)) for arm in footage.arms
             ]
             contents[states_path(footage.id)] = tables.encode_table({k: v for one in columns for k, v in one.items()})
+        for name, view in footage.views.items():
+            contents[observations_path(view_folder(footage.id, name))] = tables.encode_table(self._seen(name, view))
         files = write_files(self._root, contents)
+        others = {name: view.masks() for name, view in footage.views.items()}
         count = 0
         for frame, shot in enumerate(footage.shots()):
             files |= write_files(self._root, self._pictures(frame, shot))
+            for name, masks in others.items():
+                files |= write_files(self._root, self._masks_of(name, frame, next(masks)))
             self._progress(1)
             count += 1
         if count != len(footage.times_s):
@@ -181,48 +199,33 @@ class _Writer:
                 yield f"warning: {footage.id}: {line}"
 
     def _pictures(self, frame: int, shot: Shot) -> dict[str, bytes]:
-        footage, contents = self._footage, dict[str, bytes]()
+        footage, straight, contents = self._footage, self._straight, dict[str, bytes]()
         if footage.kinds:
-            masks = self._every_kind(shot.masks)
+            masks = straight.masks(shot.masks)
             self._shares.add(masks[BOTH] if BOTH in masks else next(iter(masks.values())), frame)
             contents |= {observed_path(footage.id, kind, frame): encode_mask(mask) for kind, mask in masks.items()}
             if footage.states is not None:
-                clean = masks if shot.clean is None else self._every_kind(shot.clean)
+                clean = masks if shot.clean is None else straight.masks(shot.clean)
                 contents |= {
                     clean_mask_path(footage.id, kind, frame): encode_mask(mask) for kind, mask in clean.items()
                 }
         if footage.images:
             assert shot.image is not None
-            contents[observed_path(footage.id, IMAGE_KIND, frame)] = encode_image(self._picture(shot.image))
+            contents[observed_path(footage.id, IMAGE_KIND, frame)] = encode_image(straight.picture(shot.image))
         return contents
 
-    def _every_kind(self, masks: Mapping[str, Mask]) -> dict[str, Mask]:
-        found = {kind: self._picture(np.where(masks[kind], 255, 0).astype(np.uint8)) > 127 for kind in masks}
-        if len(self._footage.kinds) == 2:
-            found[BOTH] = np.logical_or.reduce(list(found.values()))
-        return found
-
-    def _picture(self, picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Without its lens, and of the size that is written; a mask's pixel is its nearest, of four the most."""
-        size = (picture.shape[1], picture.shape[0])
-        if size not in self._lenses:
-            sizes = " or ".join(f"{width}x{height}" for width, height in self._lenses)
-            raise DatasetError(f"sequence '{self._footage.id}': a picture is {size[0]}x{size[1]} pixels; not {sizes}")
-        how = cv2.INTER_NEAREST if picture.ndim == 2 else cv2.INTER_LINEAR
-        straight = self._lenses[size](picture, how)
-        target = self._footage.written_camera
-        if size != (target.width, target.height):
-            straight = cv2.resize(straight, (target.width, target.height), interpolation=cv2.INTER_AREA)
-        return np.asarray(straight, dtype=np.uint8)
+    def _masks_of(self, view: str, frame: int, masks: Mapping[str, Mask]) -> dict[str, bytes]:
+        folder = view_folder(self._footage.id, view)
+        return {
+            observed_path(folder, kind, frame): encode_mask(mask)
+            for kind, mask in self._views[view].masks(masks).items()
+        }
 
     def _points(self, points: FloatArray, *, counted: bool) -> FloatArray:
-        """``(..., 2)`` pixels of the recording where they lie in what is written; NaN outside of it."""
-        camera = self._footage.camera
-        known = ~np.isnan(points).any(axis=-1)
-        moved = np.where((known & camera.contains(points))[..., None], points, np.nan)
-        moved = undistort_points(moved, camera)
-        self._outside += counted * int((known & np.isnan(moved).any(axis=-1)).sum())
-        return moved / 2 - 0.25 if self._footage.halved else moved
+        moved = self._straight.points(points)
+        lost = ~np.isnan(points).any(axis=-1) & np.isnan(moved).any(axis=-1)
+        self._outside += counted * int(lost.sum())
+        return moved
 
     def _observations(self) -> dict[str, FloatArray]:
         footage = self._footage
@@ -235,6 +238,19 @@ class _Writer:
                 columns |= dict(zip(arm_columns(arm, READING_COLUMNS), footage.joints[arm].T, strict=True))
             if footage.arm_joints is not None:
                 columns |= dict(zip(arm_columns(arm, ARM_JOINT_COLUMNS), footage.arm_joints[arm].T, strict=True))
+        return columns
+
+    def _seen(self, name: str, view: SecondView) -> dict[str, FloatArray]:
+        """Columns of a further view: where it is, and the tips that are seen in it."""
+        pose = np.concatenate([rotation_vector(view.T_view_cam[:3, :3]), view.T_view_cam[:3, 3]])
+        columns: dict[str, FloatArray] = {}
+        for kind in self._footage.all_kinds:
+            poses = np.tile(pose, (len(self._footage.times_s), 1))
+            columns |= dict(zip(arm_columns(kind, VIEW_COLUMNS), poses.T, strict=True))
+            for arm in kind_arms(kind):
+                if view.tips is not None:
+                    tips = self._views[name].points(view.tips[arm]).reshape(-1, 4)
+                    columns |= dict(zip(keypoint_columns(kind, arm), tips.T, strict=True))
         return columns
 
     def _labels(self) -> dict[str, FloatArray]:

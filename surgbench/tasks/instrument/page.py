@@ -14,7 +14,7 @@ from surgbench.reproduce.published import Published
 from surgbench.reproduce.results import Results
 from surgbench.reproduce.table import Block, Definition, Table
 from surgbench.tasks.instrument.columns import (
-    KEYPOINTS,
+    IN_RECORDINGS,
     MARKED_TIPS,
     OUT_OF_VIEW,
     PAGE_ERRORS,
@@ -44,8 +44,7 @@ def markdown(definition: Definition, results: Results) -> str:
     """The whole page."""
     table, published = definition.table, definition.published
     source = "" if published is None else published.short
-    ours = [_as_published(row) for row in results.rows]
-    compared = {block.name: compare(block, ours, published, PUBLISHED) for block in table.blocks}
+    compared = {block.name: compare(block, results.rows, published, PUBLISHED, IN_RECORDINGS) for block in table.blocks}
     parts = [f"# {table.title}"]
     if results.about["quick"]:
         parts.append(QUICK_WARNING)
@@ -124,12 +123,6 @@ def _summary(table: Table, compared: dict[str, list[Comparison]], source: str) -
         f"**Accuracies of {source} met or bettered by the rows that stand for its rows: {'; '.join(counts)}.** Not "
         "counted are times, which are of other hardware, and rows that are only shown beside a published one."
     )
-
-
-def _as_published(row: Row) -> Row:
-    """The article's keypoint error is the sum over both tips, in recordings over those that somebody marked."""
-    marked = row.get(MARKED_TIPS.key)
-    return row if marked is None else {**row, KEYPOINTS.key: 2.0 * marked, f"{KEYPOINTS.key}_sem": None}
 
 
 def _accuracies(one: Comparison) -> list[Pair]:

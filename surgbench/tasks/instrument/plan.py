@@ -110,7 +110,7 @@ def complete(row: InstrumentRow, conditions: Conditions, dataset: InstrumentData
     if row.readings == "true" and not has_truth:
         raise ConfigError(f"--readings true needs ground truth, which '{dataset.name}' has not; use --joints")
     if row.readings == "noisy" and not has_readings:
-        raise ConfigError(f"'{dataset.name}' has no joint readings; use --no-joints")
+        raise ConfigError(f"'{dataset.name}' has no joint readings; leave --joints out")
     if row.view is not None:
         _check_view(row.view, conditions.arms, dataset)
         if getattr(find("tracker", row.tracker).cls, "one_view", False):

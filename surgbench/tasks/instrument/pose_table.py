@@ -34,6 +34,8 @@ ROUNDING = 1e-3
 AGREEMENT_RAD = 1e-4
 # An instrument further away, or a joint turned further, is told in another unit.
 FARTHEST_M, MOST_RAD = 2.0, np.pi
+# All of them nearer than that is within the lens: metres that are called millimetres.
+NEAREST_M = 2e-3
 # Look-at angles and rotation vectors may have gone round a few times, but not as far as degrees go.
 MOST_TURNS_RAD = 4.0 * np.pi
 
@@ -78,6 +80,27 @@ class PoseTable:
             "is {:g} m away; for millimetres name the columns 'x_mm', 'y_mm', 'z_mm'",
         )
         return np.concatenate([self._angles(), place, self._joints()], axis=1)
+
+    def check_place(self, place: FloatArray) -> None:
+        """See that a camera could have seen some of the estimates; single ones may have gone astray.
+
+        Args:
+            place: ``(rows, 3)`` of the wrist, m; at least one.
+
+        Raises:
+            DatasetError: It could not; one line that says what would be right.
+        """
+        if (place[:, 2] < 0).all():
+            raise DatasetError(
+                f"{self.name}: every wrist is behind the camera (z below 0); its frame is OpenCV's, z forward and y "
+                "down (of OpenGL's, turn y and z and the rotation by half a turn about x)"
+            )
+        farthest = float(np.linalg.norm(place, axis=1).max())
+        if farthest < NEAREST_M:
+            raise DatasetError(
+                f"{self.name}: no wrist is further than {1e3 * farthest:.3g} mm from the camera; for metres name the "
+                "columns 'x_m', 'y_m', 'z_m'"
+            )
 
     def column(self, name: str) -> FloatArray | None:
         """``(rows,)`` of a column; ``None`` where it is not there."""

@@ -21,8 +21,10 @@ LOST_SHARES = ("lost_precision", "lost_recall")
 SHARES = (*LOST_SHARES, *INTERVAL_COVERAGES)
 # What recordings have in place of truth: marked tips, joint readings, and masks without an instrument (1, else 0).
 REFERENCE_TIPS = "reference_tip_error_px"
+# The sum of both tips' distances, as ``keypoint_error_px`` and the paper's figures on SurgPose are.
+REFERENCE_KEYPOINTS = "reference_keypoint_error_px"
 REFERENCE_JOINTS = ("reference_q1_error_rad", "reference_q2_error_rad", "reference_q3_error_rad")
-REFERENCE_ERRORS = (REFERENCE_TIPS, *REFERENCE_JOINTS)
+REFERENCE_ERRORS = (REFERENCE_TIPS, REFERENCE_KEYPOINTS, *REFERENCE_JOINTS)
 ABSENT = "absent"
 # Of two arms: how often the tracks exchanged their arms, and how often an arm was hidden and both were seen again ...
 SWAPS, OVERLAPS = "swaps", "overlaps"

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from surgbench import metrics
 from surgbench.geometry import FloatArray
 from surgbench.references import reference_joint_errors, reference_tip_error
-from surgbench.tasks.instrument.records import ABSENT, REFERENCE_JOINTS, REFERENCE_TIPS
+from surgbench.tasks.instrument.records import ABSENT, REFERENCE_JOINTS, REFERENCE_KEYPOINTS, REFERENCE_TIPS
 from surgbench.tasks.instrument.units import UnitData
 
 
@@ -37,20 +37,21 @@ def reference_errors(data: UnitData, states: FloatArray, absent: NDArray[np.bool
         absent: ``(T, arms)``, from :func:`absent_from_masks`; these frames count in no error.
 
     Returns:
-        ``ABSENT`` to ``(T,)`` ones and zeros: 1 where no arm shows. ``REFERENCE_TIPS`` and ``REFERENCE_JOINTS`` to
-        ``(T, arms)``, NaN where there is nothing to be held against; left out where the recording has no such thing.
+        ``ABSENT`` to ``(T,)`` ones and zeros: 1 where no arm shows. ``REFERENCE_TIPS``, ``REFERENCE_KEYPOINTS`` and
+        ``REFERENCE_JOINTS`` to ``(T, arms)``, NaN where there is nothing to be held against; left out where the
+        recording has no such thing.
     """
     frames = len(states)
     errors: dict[str, FloatArray] = {ABSENT: np.asarray(absent.all(axis=1), dtype=np.float64)}
     arms = list(zip(data.unit.arms, data.instruments, strict=True))
     if data.sequence.entry.keypoints:
-        tips = [
-            reference_tip_error(
-                data.camera.project(instrument.tips_cam(states[:, place])), data.sequence.keypoints(arm)[:frames]
-            )
+        pairs = [
+            (data.camera.project(instrument.tips_cam(states[:, place])), data.sequence.keypoints(arm)[:frames])
             for place, (arm, instrument) in enumerate(arms)
         ]
-        errors[REFERENCE_TIPS] = np.where(absent, np.nan, np.stack(tips, axis=1))
+        for name, error in ((REFERENCE_TIPS, reference_tip_error), (REFERENCE_KEYPOINTS, metrics.keypoint_error)):
+            per_arm = [error(estimated, marked) for estimated, marked in pairs]
+            errors[name] = np.where(absent, np.nan, np.stack(per_arm, axis=1))
     readings = [data.sequence.readings(arm) for arm in data.unit.arms]
     if all(one is not None for one in readings):
         joints = [

@@ -11,7 +11,7 @@ from surgbench.report.row import Row
 from surgbench.reproduce.results import BlockWork, Results
 from surgbench.reproduce.sheet import Sheet
 from surgbench.reproduce.table import Definition
-from surgbench.tasks.instrument.columns import ABSENT_FRAMES, PUBLISHED
+from surgbench.tasks.instrument.columns import ABSENT_FRAMES, IN_RECORDINGS, PUBLISHED
 from surgbench.tasks.instrument.dataset import InstrumentDataset
 from surgbench.tasks.instrument.difficulty import difficulty
 from surgbench.tasks.instrument.figure import draw
@@ -91,6 +91,7 @@ INSTRUMENT_SHEET = Sheet(
     draw=_draw,
     estimates="state",
     measures=PUBLISHED,
+    instead=IN_RECORDINGS,
     further_columns=FURTHER_COLUMNS,
     further_errors=(*REFERENCE_ERRORS, *JUDGED, *PAIR_ERRORS),
     further_counts=(ABSENT_FRAMES.key, *PAIR_COUNTS),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
@@ -18,6 +17,7 @@ from surgbench.dataset.manifest import observations_path
 from surgbench.dataset.masks import read_bytes
 from surgbench.errors import DatasetError, unknown_name
 from surgbench.geometry import FloatArray, rigid_transform, rotation_from_vector, rotation_vector
+from surgbench.syntax import parse_json
 from surgbench.tasks.viewpoint.format import (
     CONTACT,
     FEATURE_COLUMNS,
@@ -229,7 +229,7 @@ def read_scene(root: Path, entry: TrialEntry, data: bytes) -> SceneTruth:
     """
     path = root / scene_path(entry.id)
     try:
-        return SceneTruth.model_validate(json.loads(data))
+        return SceneTruth.model_validate(parse_json(data))
     except ValidationError as error:
         raise DatasetError(f"{path}: {explain(SceneTruth, error)}") from None
     except ValueError:

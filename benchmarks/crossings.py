@@ -1,0 +1,90 @@
+"""How arms cross in a dataset that tells them apart: shares of the frames, and events in which one's jaws are hidden.
+
+    surgbench generate occlusion --out data/occlusion
+    python benchmarks/crossings.py data/occlusion [--sheet sheet.png]
+
+An event is a run of frames in which at most a tenth of an arm's wrist and jaws is seen. The sheet shows the longest one
+that begins and ends: a row for each of some frames, from before it to after it, with the union, the clean visible
+masks, and the observed ones (left orange, right blue, what is neither's grey).
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surgbench.dataset.masks import encode_image
+from surgbench.dataset.open import open_as
+from surgbench.geometry import FloatArray
+from surgbench.tasks.instrument.dataset import InstrumentDataset, Sequence
+from surgbench.tasks.instrument.format import Arm
+
+HIDDEN = 0.1
+LEFT, RIGHT, REST, BACKGROUND = (240, 160, 40), (40, 120, 255), (110, 110, 110), (20, 20, 20)
+ROWS, AROUND_FRAMES = 5, 20
+
+
+def events(sequence: Sequence, arm: Arm) -> list[tuple[int, int]]:
+    """First frames of a sequence's events, and how many each has."""
+    hidden = (_shares(sequence, arm)["tool_visible"] <= HIDDEN).astype(int)
+    edges = np.diff(np.concatenate([[0], hidden, [0]]))
+    starts, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
+    return [(int(start), int(end - start)) for start, end in zip(starts, ends, strict=True)]
+
+
+def _shares(sequence: Sequence, arm: Arm) -> dict[str, FloatArray]:
+    shares = sequence.visibility(arm)
+    if shares is None:
+        raise SystemExit(f"sequence '{sequence.id}' does not tell its arms apart")
+    return shares
+
+
+def coloured(sequence: Sequence, frame: int, *, clean: bool) -> NDArray[np.uint8]:
+    """What is seen of both arms, ``(height, width, 3)`` RGB."""
+    read = sequence.clean_mask if clean else sequence.mask
+    union = read("both", frame)
+    picture = np.full((*union.shape, 3), BACKGROUND, dtype=np.uint8)
+    for kind, colour in (("both", REST), ("visible_left", LEFT), ("visible_right", RIGHT)):
+        picture[read(kind, frame)] = colour
+    return picture
+
+
+def sheet(sequence: Sequence, start: int, frames: int) -> NDArray[np.uint8]:
+    """Rows of pictures, half as large, from before an event to after it."""
+    shown = np.linspace(max(start - AROUND_FRAMES, 0), min(start + frames + AROUND_FRAMES, sequence.frames - 1), ROWS)
+    rows = []
+    for frame in shown.round().astype(int).tolist():
+        union = np.repeat(sequence.clean_mask("both", frame)[..., None], 3, axis=2).astype(np.uint8) * 255
+        cells = [union, coloured(sequence, frame, clean=True), coloured(sequence, frame, clean=False)]
+        rows.append(np.concatenate([cell[::2, ::2] for cell in cells], axis=1))
+    return np.concatenate(rows)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("dataset", type=Path)
+    parser.add_argument("--sheet", type=Path, help="PNG of the longest event")
+    arguments = parser.parse_args()
+    dataset = open_as(InstrumentDataset, arguments.dataset)
+    found = [(s, arm, *event) for s in dataset.sequences for arm in s.arms for event in events(s, arm)]
+    lengths = np.array([frames for *_, frames in found])
+    overlap = np.concatenate([np.isfinite(_shares(s, "left")["front"]) for s in dataset.sequences])
+    per = {arm: sum(one == arm for _, one, *_ in found) for arm in ("left", "right")}
+    print(f"{len(dataset.sequences)} pairs, {len(overlap)} frames; overlapping in {overlap.mean():.3f}")
+    print(f"{len(found)} events, {per['left']} of the left arm, {per['right']} of the right")
+    if not found:
+        return
+    print(f"in {lengths.sum() / len(overlap):.3f} of the frames; median {np.median(lengths):.0f}, most {lengths.max()}")
+    print("events of at least: " + ", ".join(f"{n} frames {(lengths >= n).sum()}" for n in (5, 15, 30, 45, 60)))
+    if arguments.sheet is not None:
+        whole = [event for event in found if event[2] > 0 and event[2] + event[3] < event[0].frames] or found
+        sequence, arm, start, frames = max(whole, key=lambda event: event[3])
+        arguments.sheet.write_bytes(encode_image(sheet(sequence, start, frames)))
+        print(f"{arguments.sheet}: sequence {sequence.id}, {arm} arm, frames {start} to {start + frames - 1}")
+
+
+if __name__ == "__main__":
+    main()
