@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from pathlib import Path
 
 import numpy as np
@@ -19,12 +20,20 @@ from surgbench.tasks.instrument.dataset import InstrumentDataset
 from surgbench.tasks.instrument.format import (
     ARMS,
     InstrumentManifest,
+    MaskKind,
     SequenceEntry,
     clean_mask_path,
     observed_path,
     states_path,
+    visibility_path,
 )
-from surgbench.tasks.instrument.tables import KEYPOINT_COLUMNS, READING_COLUMNS, STATE_COLUMNS, arm_columns
+from surgbench.tasks.instrument.tables import (
+    KEYPOINT_COLUMNS,
+    READING_COLUMNS,
+    STATE_COLUMNS,
+    VISIBILITY_COLUMNS,
+    arm_columns,
+)
 
 CAMERA = Camera(width=88, height=62, fx=113.2, fy=113.1, cx=36.3, cy=29.4)
 DRIVER = "large_needle_driver"
@@ -51,11 +60,15 @@ def make_pair(
     frames: int = FRAMES,
     sequences: int = 2,
     name: str = "pairs",
+    visible: tuple[MaskKind, ...] = (),
+    hidden: Collection[int] | None = None,
     steps: tuple[int, ...] | None = None,
 ) -> InstrumentDataset:
     """Pairs whose masks are the silhouettes of their states, uncorrupted, with tips and readings.
 
-    Frames follow one another, or are those of ``steps``, with gaps between them.
+    The left arm is taken to be in front in masks of what is ``visible``. In frames that are ``hidden`` so are the right
+    arm's wrist and jaws, by the table of visibility alone. Frames follow one another, or are those of ``steps``, with
+    gaps between them.
     """
     driver = load_instrument(DRIVER)
     save_instrument(driver, root / f"instruments/{DRIVER}")
@@ -67,6 +80,8 @@ def make_pair(
         for frame in range(frames):
             masks: dict[str, Mask] = {arm: alone.mask(states[arm][frame]) for arm in ARMS}
             masks |= {"both": pair.mask(np.concatenate([states[arm][frame] for arm in ARMS]))}
+            seen = {"visible_left": masks["left"], "visible_right": masks["right"] & ~masks["left"]}
+            masks |= {kind: seen[kind] for kind in visible}
             for kind, mask in masks.items():
                 _put(root / observed_path(id_, kind, frame), encode_mask(mask))
                 if truth:
@@ -80,6 +95,13 @@ def make_pair(
         if truth:
             true = {c: v for arm in ARMS for c, v in zip(arm_columns(arm, STATE_COLUMNS), states[arm].T, strict=True)}
             _put(root / states_path(id_), encode_table(true))
+        if hidden is not None:
+            shares = {f"{arm}_{name}": np.ones(frames) for arm in ARMS for name in VISIBILITY_COLUMNS}
+            shares |= {
+                f"{arm}_{name}": np.full(frames, v) for arm in ARMS for name, v in (("front", 0.5), ("swapped", 0))
+            }
+            shares["right_tool_visible"][list(hidden)] = 0.0
+            _put(root / visibility_path(id_), encode_table(shares))
         entries.append(
             SequenceEntry(
                 id=id_,
@@ -88,10 +110,11 @@ def make_pair(
                 camera="camera",
                 arms=ARMS,
                 instruments={arm: DRIVER for arm in ARMS},
-                kinds=("left", "right", "both"),
+                kinds=("left", "right", "both", *visible),
                 keypoints=True,
                 readings=True,
                 truth=truth,
+                visibility=hidden is not None,
             )
         )
     paths = [path for path in root.rglob("*") if path.is_file()]

@@ -56,13 +56,15 @@ class PycmaTracker(SamplingTracker):
             "verbose": -9,
             "verb_log": 0,
         }
-        self._arms = arms
-        self._normals = SobolNormals(STATE_SIZE * arms, rng)
+        self._normals = {STATE_SIZE * arms: SobolNormals(STATE_SIZE * arms, rng)}
+        if arms > 1 and config.dual != "joint":
+            self._normals[STATE_SIZE] = SobolNormals(STATE_SIZE, rng)
         _package()
 
     def _search(self, start: FloatArray) -> _Search:
-        normals = _Normals(self._normals, self._arms)
-        options = [{**self._package_options, "randn": normals.of(arm)} for arm in range(self._arms)]
+        arms = len(start) // STATE_SIZE
+        normals = _Normals(self._normals[len(start)], arms)
+        options = [{**self._package_options, "randn": normals.of(arm)} for arm in range(arms)]
         return _Search(
             [
                 _package().CMAEvolutionStrategy(mean, self.config.sigma, option)

@@ -46,7 +46,7 @@ def score(
     from surgbench.kinds import NAME_PATTERN
     from surgbench.records.reader import read_records
     from surgbench.report.render import print_leaderboard
-    from surgbench.report.rows import derive_rows
+    from surgbench.report.rows import derive_rows, hints
     from surgbench.suite.asked import FileRequest
     from surgbench.suite.score import FileScore
 
@@ -60,5 +60,8 @@ def score(
     with progress("frames", sum(job.frames for job in work.plan.todo)) as advance:
         work.run(advance)
     hashes = {job.hash for job in work.jobs}
-    print_leaderboard(derive_rows([one for one in read_records([out]) if one.spec_hash in hashes]), Console())
+    scored = [one for one in read_records([out]) if one.spec_hash in hashes]
+    for line in hints(scored):
+        print(line, file=sys.stderr)
+    print_leaderboard(derive_rows(scored), Console())
     print(out)

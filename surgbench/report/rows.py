@@ -62,6 +62,11 @@ def derive_rows(records: Sequence[Record]) -> list[Row]:
     return [row for _, row in ranked]
 
 
+def hints(records: Sequence[Record]) -> list[str]:
+    """One line for each record that says that something is odd."""
+    return [f"{one.spec.row_id} {one.spec.unit}: {one.hint}" for one in records if one.hint is not None]
+
+
 def columns(rows: Sequence[Row]) -> tuple[Field, ...]:
     """The columns that rows have: those of their task, or of all of their tasks, and further ones that a row fills."""
     tasks = [find_task(name) for name in sorted({row["task"] for row in rows})] or [default_task()]

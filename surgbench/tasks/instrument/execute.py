@@ -18,8 +18,9 @@ from surgbench.suite.running import Run
 from surgbench.suite.settings import Job, Plug
 from surgbench.tasks.instrument.dataset import InstrumentDataset, InstrumentUnit
 from surgbench.tasks.instrument.judge import frames_that_count, judged_columns
+from surgbench.tasks.instrument.pairs import OwnMasks, hidden, pair_errors
 from surgbench.tasks.instrument.plan import InstrumentSettings
-from surgbench.tasks.instrument.records import ANSWER_COLUMNS, SHARES
+from surgbench.tasks.instrument.records import ANSWER_COLUMNS, ARM_COLUMNS, SHARES
 from surgbench.tasks.instrument.references import absent_from_masks, reference_errors
 from surgbench.tasks.instrument.units import UnitData
 from surgbench.tasks.instrument.worker import Answer, Setup, waiting
@@ -37,7 +38,8 @@ def own_settings(job: Job) -> InstrumentSettings:
 def unit_data(job: Job, dataset: InstrumentDataset) -> UnitData:
     """The frames of a job's unit."""
     assert isinstance(job.unit, InstrumentUnit)
-    return UnitData(dataset, job.unit, own_settings(job).readings, own_settings(job).view)
+    settings = own_settings(job)
+    return UnitData(dataset, job.unit, settings.readings, settings.view, settings.masks)
 
 
 def child_setup(job: Job, scene: Scene) -> Setup:
@@ -94,6 +96,7 @@ def execute(job: Job, dataset: InstrumentDataset, run: Run, *, waits: bool = Tru
     evaluator = SilhouetteEvaluator(data.instruments, data.camera)
     answers: list[Answer] = []
     mask_errors: list[tuple[float | None, float | None]] = []
+    own_masks = OwnMasks.of(data)
     status, error, trace, initialise_s = "ok", None, None, None
     try:
         with run.child(WORKER, settings.conditions.timeout_s) as child:
@@ -113,16 +116,20 @@ def execute(job: Job, dataset: InstrumentDataset, run: Run, *, waits: bool = Tru
                 answer: Answer = child.receive()[1]
                 answers.append(answer)
                 mask_errors.append(_mask_errors(evaluator, answer.state, mask, clean))
+                if own_masks is not None:
+                    own_masks.measure(frame, answer.state)
                 run.advance(1)
     except ChildProblemError as problem:
         status, error, trace = problem.status, f"frame {len(answers)}: {problem}", problem.traceback
+    hint = None if own_masks is None else own_masks.hint(data.unit.arms)
     return {
         "status": status,
         "error": error,
         "traceback": trace,
         "initialise_s": initialise_s,
         "frames": _frames(answers),
-        "errors": _errors(data, answers, mask_errors) | _judged(settings, data, answers, mask_errors),
+        "errors": _errors(data, answers, mask_errors, own_masks) | _judged(settings, data, answers, mask_errors),
+        **({} if hint is None else {"hint": hint}),
     }
 
 
@@ -163,14 +170,18 @@ def _mask_errors(
 
 def _frames(answers: list[Answer]) -> dict[str, list[Any]]:
     columns: dict[str, list[Any]] = {"index": list(range(len(answers)))}
-    for name in ANSWER_COLUMNS:
+    names = [*ANSWER_COLUMNS, *(ARM_COLUMNS if answers and answers[0].lost_arms is not None else ())]
+    for name in names:
         values = [getattr(answer, name) for answer in answers]
         columns[name] = [value.tolist() if isinstance(value, np.ndarray) else value for value in values]
     return columns
 
 
 def _errors(
-    data: UnitData, answers: list[Answer], mask_errors: list[tuple[float | None, float | None]]
+    data: UnitData,
+    answers: list[Answer],
+    mask_errors: list[tuple[float | None, float | None]],
+    own_masks: OwnMasks | None,
 ) -> dict[str, list[Any] | None]:
     """Errors of all frames; ``None`` where there is no truth to hold them against."""
     errors: dict[str, list[Any] | None] = dict.fromkeys(
@@ -180,6 +191,9 @@ def _errors(
     states = np.array([answer.state for answer in answers]).reshape(shape)
     starts = np.array([answer.start for answer in answers]).reshape(shape)
     away = out_of_view(data, len(answers))
+    lost = lost_arms(answers, shape[1])
+    if own_masks is not None:
+        errors |= {name: _finite(values) for name, values in own_masks.errors(away).items()}
     if data.truth is not None:
         truth = data.truth[: len(answers)]
         per_arm = [
@@ -190,8 +204,13 @@ def _errors(
             values = np.stack([arm[name] for arm in per_arm], axis=1)
             errors[name] = _finite(np.where(away, np.nan, values))
         tip_errors = [arm["tip_error_m"] for arm in per_arm]
-        recovered = [metrics.frames_to_recover(*arm) for arm in zip(tip_errors, away.T, strict=True)]
+        gone = away | hidden(data, len(answers))
+        recovered = [metrics.frames_to_recover(*arm) for arm in zip(tip_errors, gone.T, strict=True)]
         errors["frames_to_recover"] = _finite(np.array(recovered))
+        if shape[1] == 2:
+            sure = np.array([answer.confidence_arms for answer in answers], dtype=np.float64).reshape(shape[:2])
+            found = pair_errors(data, states, np.stack(tip_errors, axis=1), lost, sure, away)
+            errors |= {name: _finite(values) for name, values in found.items()}
         places = np.where(away[..., None], np.nan, states[..., POSITION])
         scaled = [metrics.translation_error_scaled(places[:, arm], truth[:, arm, POSITION]) for arm in range(shape[1])]
         errors["translation_error_scaled_m"] = _finite(np.array(scaled))
@@ -200,9 +219,9 @@ def _errors(
         errors |= {name: _finite(np.where(away, np.nan, values)) for name, values in coverages.items()}
     else:
         errors |= {name: _finite(values) for name, values in reference_errors(data, states, away).items()}
-    lost, any_away = [answer.lost for answer in answers], away.any(axis=1)
-    errors["lost_precision"] = _finite(metrics.lost_precision(lost, any_away))
-    errors["lost_recall"] = _finite(metrics.lost_recall(lost, any_away))
+    for name, share in (("lost_precision", metrics.lost_precision), ("lost_recall", metrics.lost_recall)):
+        per_arm_shares = [share(*arm) for arm in zip(lost.T, away.T, strict=True)]
+        errors[name] = _finite(per_arm_shares[0] if shape[1] == 1 else np.stack(per_arm_shares, axis=1))
     # There is nothing to be held against a silhouette where no instrument shows.
     nothing = np.asarray(away.all(axis=1))
     seen, clean = zip(*mask_errors, strict=True) if mask_errors else ((), ())
@@ -217,6 +236,12 @@ def _errors(
     errors["start_lag_ms"] = _lags(starts, data)
     errors["jitter"] = _finite(np.array([metrics.jitter(arm, _steps(data, len(answers))) for arm in tips]))
     return errors
+
+
+def lost_arms(answers: list[Answer], arms: int) -> NDArray[np.bool_]:
+    """Of which frames each arm is said to be lost, ``(T, arms)``."""
+    own = [answer.lost if answer.lost_arms is None else answer.lost_arms for answer in answers]
+    return np.array(own, dtype=bool).reshape(len(answers), arms)
 
 
 def _judged(

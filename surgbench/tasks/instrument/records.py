@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import model_validator
 
 from surgbench.geometry import FloatArray
@@ -25,11 +26,21 @@ REFERENCE_KEYPOINTS = "reference_keypoint_error_px"
 REFERENCE_JOINTS = ("reference_q1_error_rad", "reference_q2_error_rad", "reference_q3_error_rad")
 REFERENCE_ERRORS = (REFERENCE_TIPS, REFERENCE_KEYPOINTS, *REFERENCE_JOINTS)
 ABSENT = "absent"
+# Of two arms: how often the tracks exchanged their arms, and how often an arm was hidden and both were seen again ...
+SWAPS, OVERLAPS = "swaps", "overlaps"
+# ... and shares: of those times, out of which tracks came right; of hidden frames, those said to be lost or right; of
+# frames far off, those said to be lost or doubtful. What is seen of each arm against its own mask is an error.
+RIGHT_WAY_ROUND, HIDDEN_KNOWN, FAR_OFF_DOUBTED = "right_way_round", "hidden_known", "far_off_doubted"
+MASK_ARMS = "mask_error_arms"
+PAIR_COUNTS = (SWAPS, OVERLAPS)
+PAIR_ERRORS = (RIGHT_WAY_ROUND, HIDDEN_KNOWN, FAR_OFF_DOUBTED, MASK_ARMS)
 # What is kept of each answer of the child process, which has an attribute of each name.
 ANSWER_COLUMNS = (
     "start", "state", "confidence", "lost", "standard_deviations", "latency_ms", "latency_optimise_ms",
     "latency_keypoints_ms", "latency_filter_ms",
 )  # fmt: skip
+# The same, of two arms: each arm's own.
+ARM_COLUMNS = ("confidence_arms", "lost_arms")
 
 
 class InstrumentRecordSpec(RecordSpec):
@@ -43,11 +54,16 @@ class InstrumentRecordSpec(RecordSpec):
     readings: str
     views: int = 1
     view: str | None = None
+    masks: str = "union"
     scored: str = "raw"
 
 
 class InstrumentFrames(Frames):
-    """Per-frame results of an instrument tracker."""
+    """Per-frame results of an instrument tracker.
+
+    Of two arms ``lost`` says whether either is, ``confidence`` is that of the less certain one; each arm's own are in
+    ``lost_arms`` and ``confidence_arms``, which records of one arm have not, and old ones of two.
+    """
 
     start: list[list[float]] = []
     state: list[list[float]] = []
@@ -59,12 +75,26 @@ class InstrumentFrames(Frames):
     latency_keypoints_ms: list[Number] = []
     latency_masks_ms: list[Number] = []
     latency_filter_ms: list[Number] = []
+    confidence_arms: list[list[Number]] = []
+    lost_arms: list[list[bool]] = []
 
     @model_validator(mode="after")
     def _state_size(self) -> InstrumentFrames:
         if self.state and {len(state) for state in self.state} not in ({9}, {18}):
             raise ValueError("'state' must hold 9 or 18 numbers per frame")
         return self
+
+    def lost_of(self, arm: int) -> NDArray[np.bool_]:
+        """``(T,)`` of which frames the tracker says that it has lost an arm."""
+        if self.lost_arms:
+            return np.array(self.lost_arms, dtype=bool)[:, arm]
+        return np.array(self.lost or [False] * len(self.index), dtype=bool)
+
+    def confidence_of(self, arm: int) -> FloatArray:
+        """``(T,)`` how sure the tracker is of an arm, NaN where it has not said."""
+        if self.confidence_arms:
+            return np.array(self.confidence_arms, dtype=np.float64)[:, arm]
+        return np.array(self.confidence or [None] * len(self.index), dtype=np.float64)
 
     @property
     def states(self) -> FloatArray:
@@ -79,10 +109,10 @@ class InstrumentRecord(Record):
         references: By what each plug-in was asked for, by kind.
     """
 
-    whole: ClassVar[tuple[str, ...]] = (*PER_ARM, *JUDGED)
+    whole: ClassVar[tuple[str, ...]] = (*PER_ARM, *JUDGED, *PAIR_COUNTS, RIGHT_WAY_ROUND)
     error_names: ClassVar[tuple[str, ...]] = (
         *(*POSE_ERRORS, "mask_error", "mask_error_true", *PER_ARM, *JUDGED, *SHARES),
-        *(*REFERENCE_ERRORS, ABSENT),
+        *(*REFERENCE_ERRORS, ABSENT, *PAIR_COUNTS, *PAIR_ERRORS),
     )
 
     spec: InstrumentRecordSpec

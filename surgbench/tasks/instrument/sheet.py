@@ -18,7 +18,16 @@ from surgbench.tasks.instrument.figure import draw
 from surgbench.tasks.instrument.fingerprint import sequence_head_sha256
 from surgbench.tasks.instrument.levels import LEVELS_PNG, draw_levels
 from surgbench.tasks.instrument.page import markdown
-from surgbench.tasks.instrument.records import ABSENT, JUDGED, PER_ARM, REFERENCE_ERRORS, SHARES, InstrumentRecord
+from surgbench.tasks.instrument.records import (
+    ABSENT,
+    JUDGED,
+    PAIR_COUNTS,
+    PAIR_ERRORS,
+    PER_ARM,
+    REFERENCE_ERRORS,
+    SHARES,
+    InstrumentRecord,
+)
 from surgbench.tasks.instrument.rows import ERRORS, FURTHER_COLUMNS, INSTRUMENT_COLUMNS
 from surgbench.tasks.instrument.worst import WORST_PNG, draw_worst
 
@@ -43,7 +52,7 @@ def _count(record: InstrumentRecord) -> Row:
     counts: Row = {"lost_frames": sum(record.frames.lost)}
     if ABSENT in record.errors:
         counts[ABSENT_FRAMES.key] = int(record.errors[ABSENT].sum())
-    return counts
+    return counts | {name: int(record.errors[name].sum()) for name in PAIR_COUNTS if name in record.errors}
 
 
 def _draw(definition: Definition, blocks: Sequence[BlockWork], results: Results, folder: Path) -> list[str]:
@@ -61,7 +70,7 @@ def _draw(definition: Definition, blocks: Sequence[BlockWork], results: Results,
 INSTRUMENT_SHEET = Sheet(
     columns=INSTRUMENT_COLUMNS,
     errors=(*ERRORS, *PER_ARM, *SHARES),
-    spreadless=(*PER_ARM, *SHARES, *JUDGED),
+    spreadless=(*PER_ARM, *SHARES, *JUDGED, *PAIR_ERRORS),
     counts=("lost_frames",),
     traits=("speed",),
     no_difference={
@@ -84,6 +93,6 @@ INSTRUMENT_SHEET = Sheet(
     measures=PUBLISHED,
     instead=IN_RECORDINGS,
     further_columns=FURTHER_COLUMNS,
-    further_errors=(*REFERENCE_ERRORS, *JUDGED),
-    further_counts=(ABSENT_FRAMES.key,),
+    further_errors=(*REFERENCE_ERRORS, *JUDGED, *PAIR_ERRORS),
+    further_counts=(ABSENT_FRAMES.key, *PAIR_COUNTS),
 )

@@ -35,10 +35,21 @@ class InstrumentTask(Task):
     default: ClassVar[bool] = True
     made_by: ClassVar[tuple[str, ...]] = tuple(
         f"{__package__}.{name}"
-        for name in ("auxiliary", "dataset", "execute", "judge", "references", "tables", "tips", "units", "worker")
+        for name in [
+            "auxiliary",
+            "dataset",
+            "execute",
+            "judge",
+            "pairs",
+            "references",
+            "tables",
+            "tips",
+            "units",
+            "worker",
+        ]
     )
     first_check: ClassVar[str] = "plain sequence"
-    may_refuse: ClassVar[tuple[str, ...]] = ("readings", "kinematics", "two arms")
+    may_refuse: ClassVar[tuple[str, ...]] = ("readings", "kinematics", "two arms", "masks of arms", "crossing arms")
     aids: ClassVar[tuple[str, ...]] = ("kinematics",)
 
     @property
@@ -101,7 +112,7 @@ class InstrumentTask(Task):
 
     @property
     def further_columns(self) -> tuple[Field, ...]:
-        """What recordings have in place of truth, and what the readings of their arms say."""
+        """What recordings have in place of truth, what the readings of their arms say, and what pairs have."""
         from surgbench.tasks.instrument.rows import FURTHER_COLUMNS
 
         return FURTHER_COLUMNS
