@@ -84,6 +84,7 @@ def errors_of(data: UnitData, answers: list[Answer]) -> dict[str, Any]:
         data,
         answers,
         [_mask_errors(evaluator, one.state, mask, None) for one, mask in zip(answers, masks, strict=True)],
+        None,
     )
 
 

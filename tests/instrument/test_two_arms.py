@@ -15,12 +15,12 @@ from surgbench import pair_metrics
 from surgbench.dataset.masks import encode_mask
 from surgbench.errors import InvalidAnswerError
 from surgbench.report.rows import read_rows
-from surgbench.tasks.instrument.format import observed_path
+from surgbench.tasks.instrument.format import MaskKind, observed_path
 from surgbench.tasks.instrument.pose_table import POSE_COLUMNS, pose_columns
 from surgbench.tasks.instrument.units import UnitData
 from surgbench.tasks.instrument.worker import check_confidence, check_lost
 
-BOTH = ("visible_left", "visible_right")
+BOTH: tuple[MaskKind, ...] = ("visible_left", "visible_right")
 TRACKER = """
 import numpy as np
 from surgbench import Estimate

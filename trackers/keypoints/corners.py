@@ -29,7 +29,8 @@ class CornersKeypoints(Plugin):
 
     def detect(self, observation: Observation, view: View) -> tuple[FloatArray | None, ...]:
         """Two corners per arm; ``None`` where there are not two, and for both where the arms cannot be told apart."""
-        return self._arms.find(observation, view, _corners)
+        found: tuple[FloatArray | None, ...] = self._arms.find(observation, view, _corners)
+        return found
 
 
 def _corners(mask: Mask) -> FloatArray | None:

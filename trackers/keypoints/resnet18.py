@@ -115,4 +115,5 @@ class ResNet18Keypoints(Plugin):
     def detect(self, observation: Observation, view: View) -> tuple[FloatArray | None, ...]:
         """Two tips per arm, or one; ``None`` where there is none, and for both where the arms cannot be told apart."""
         assert self._detector is not None, "reset comes first"
-        return self._arms.find(observation, view, self._detector.detect)
+        found: tuple[FloatArray | None, ...] = self._arms.find(observation, view, self._detector.detect)
+        return found

@@ -91,7 +91,7 @@ class CMA:
         A step of negative weight counts as if it were as long as an average one, whatever its length: so the
         covariance stays positive definite.
         """
-        weights = self.settings.weights
+        weights: FloatArray = self.settings.weights
         if self._good == len(weights):
             return weights
         own = steps[self._good :, block]
