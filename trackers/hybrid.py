@@ -166,6 +166,7 @@ class HybridTracker(InstrumentTracker):
         self._step_s = scene.dt_s
         self._whereabouts = Whereabouts(state)
         self._found: FloatArray = np.tile(FOUND, scene.arms)
+        self._arriving: FloatArray = np.tile(ARRIVING, scene.arms)
         faster = config.acceleration * (config.fast_acceleration if scene.speed == "fast" else 1.0)
         belief = MotionBelief(
             self._scale,
@@ -194,7 +195,7 @@ class HybridTracker(InstrumentTracker):
         best = min(self._hypotheses, key=lambda h: h.total)
         fits = self._fits(best)
         share = float(observation.mask.mean())
-        if self._whereabouts.lost:
+        if self._whereabouts.lost or (self._whereabouts.fresh and not fits):
             if config.samples and share >= OUT_OF_VIEW_SHARE and (not fits or self._whereabouts.unseen):
                 self._recover(best, observation)
         elif seen and config.samples and not fits:
@@ -233,6 +234,8 @@ class HybridTracker(InstrumentTracker):
     def _follow(self, hypothesis: Hypothesis, observation: Observation, start: FloatArray | None, seen: bool) -> None:
         belief, config = hypothesis.belief, self.config
         if self._last_s is not None:
+            if self._whereabouts.fresh:  # the jump back to where it is is no speed
+                belief.slow(self._arriving)
             belief.predict(self._step_s)
         tips = (
             self._last_s is None

@@ -150,6 +150,12 @@ class MotionBelief:
         n = len(self._scale)
         self._mean[n : 2 * n] = 0.0
 
+    def slow(self, fastest: FloatArray) -> None:
+        """No velocity is larger than ``(n,)``, per s."""
+        n = len(self._scale)
+        most = fastest / self._scale
+        self._mean[n : 2 * n] = np.clip(self._mean[n : 2 * n], -most, most)
+
     def near(self, state: FloatArray) -> FloatArray:
         """The same state with each angle turned by full turns to lie nearest to the mean."""
         turned = np.array(state, dtype=np.float64)
