@@ -37,7 +37,8 @@ class View:
         camera: Intrinsics.
         T_view_cam: ``(4, 4)`` from the reference camera's frame (in which states are given) to this camera's.
         mask: ``(height, width)`` bool: the instruments.
-        instance_masks: One mask per arm where the recording tells the arms apart, else ``None``.
+        instance_masks: What shows of each arm, one mask per arm, where the recording tells the arms apart, else
+            ``None``. Their identities may be exchanged, and together they need not be ``mask``: a segmenter made them.
         image: Call it for the ``(height, width, 3)`` uint8 RGB image; ``None`` where there are no images.
         found: What ``keypoints`` and ``tips`` are made from when one of them is first looked at: who looks at neither
             does not wait for the keypoint source.
@@ -104,12 +105,23 @@ class View:
 
     def __getstate__(self) -> dict[str, Any]:
         # As bits a mask fits the buffer of a pipe, so that it reaches a tracker's process in one go.
-        return {**self.__dict__, "mask": (self.mask.shape, np.packbits(self.mask))}
+        alone = self.instance_masks
+        packed = None if alone is None else tuple(_packed(mask) for mask in alone)
+        return {**self.__dict__, "mask": _packed(self.mask), "instance_masks": packed}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        shape, bits = state["mask"]
-        mask = np.unpackbits(bits, count=int(np.prod(shape))).reshape(shape).view(np.bool_)
-        self.__dict__.update({**state, "mask": mask})
+        alone = state["instance_masks"]
+        masks = None if alone is None else tuple(_unpacked(mask) for mask in alone)
+        self.__dict__.update({**state, "mask": _unpacked(state["mask"]), "instance_masks": masks})
+
+
+def _packed(mask: Mask) -> tuple[tuple[int, ...], NDArray[np.uint8]]:
+    return mask.shape, np.packbits(mask)
+
+
+def _unpacked(packed: tuple[tuple[int, ...], NDArray[np.uint8]]) -> Mask:
+    shape, bits = packed
+    return np.unpackbits(bits, count=int(np.prod(shape))).reshape(shape).view(np.bool_)
 
 
 @dataclass(frozen=True)
@@ -207,8 +219,8 @@ class Estimate:
 
     Attributes:
         state: ``(9 * arms,)``.
-        confidence: 0 to 1.
-        lost: The tracker itself thinks it has lost the instrument.
+        confidence: 0 to 1; of all arms together, or ``(arms,)``.
+        lost: The tracker itself thinks it has lost the instrument; of all arms together, or ``(arms,)`` bool.
         standard_deviations: ``(9 * arms,)`` how far off the tracker expects each component of the state to be (rad, m,
             rad), as of a Gaussian; all greater than 0. ``None`` where it does not know.
 
@@ -218,11 +230,16 @@ class Estimate:
         >>> import numpy as np
         >>> from surgbench.contract import Estimate
         >>> estimate = Estimate(np.array([0, 0, 0, 0, 0, 0.13, 0, 0, 0]), confidence=0.2, lost=True)
+
+        Two arms, of which the right one has gone behind the other:
+
+        >>> both = np.array([0, 0, 0, 0, 0, 0.13, 0, 0, 0, 0, 0, 0, 0.01, 0, 0.14, 0, 0, 0])
+        >>> estimate = Estimate(both, confidence=np.array([0.9, 0.1]), lost=np.array([False, True]))
     """
 
     state: FloatArray
-    confidence: float = 1.0
-    lost: bool = False
+    confidence: float | FloatArray = 1.0
+    lost: bool | NDArray[np.bool_] = False
     standard_deviations: FloatArray | None = None
 
 

@@ -19,6 +19,7 @@ from surgbench.tasks.instrument.dataset import InstrumentDataset
 from surgbench.tasks.instrument.format import (
     ARMS,
     InstrumentManifest,
+    MaskKind,
     SequenceEntry,
     clean_mask_path,
     observed_path,
@@ -45,9 +46,18 @@ def states_of(arm: str, frames: int = FRAMES, sequence: int = 0) -> FloatArray:
 
 
 def make_pair(
-    root: Path, *, truth: bool = True, frames: int = FRAMES, sequences: int = 2, name: str = "pairs"
+    root: Path,
+    *,
+    truth: bool = True,
+    frames: int = FRAMES,
+    sequences: int = 2,
+    name: str = "pairs",
+    visible: tuple[MaskKind, ...] = (),
 ) -> InstrumentDataset:
-    """Pairs whose masks are the silhouettes of their states, uncorrupted, with tips and readings."""
+    """Pairs whose masks are the silhouettes of their states, uncorrupted, with tips and readings.
+
+    The left arm is taken to be in front in masks of what is ``visible``.
+    """
     driver = load_instrument(DRIVER)
     save_instrument(driver, root / f"instruments/{DRIVER}")
     alone, pair = SilhouetteEvaluator([driver], CAMERA), SilhouetteEvaluator([driver, driver], CAMERA)
@@ -58,6 +68,8 @@ def make_pair(
         for frame in range(frames):
             masks: dict[str, Mask] = {arm: alone.mask(states[arm][frame]) for arm in ARMS}
             masks |= {"both": pair.mask(np.concatenate([states[arm][frame] for arm in ARMS]))}
+            seen = {"visible_left": masks["left"], "visible_right": masks["right"] & ~masks["left"]}
+            masks |= {kind: seen[kind] for kind in visible}
             for kind, mask in masks.items():
                 _put(root / observed_path(id_, kind, frame), encode_mask(mask))
                 if truth:
@@ -79,7 +91,7 @@ def make_pair(
                 camera="camera",
                 arms=ARMS,
                 instruments={arm: DRIVER for arm in ARMS},
-                kinds=("left", "right", "both"),
+                kinds=("left", "right", "both", *visible),
                 keypoints=True,
                 readings=True,
                 truth=truth,

@@ -10,6 +10,7 @@ from surgbench.suite.asked import RowRequest
 
 Readings = Literal["none", "noisy", "true"]
 Scored = Literal["raw", "filtered"]
+Masks = Literal["auto", "union", "instances"]
 
 
 class InstrumentRow(RowRequest):
@@ -24,6 +25,8 @@ class InstrumentRow(RowRequest):
             readings on data that holds tips ``observed``.
         readings: Which joint readings the tracker is given.
         view: Auxiliary view that the tracker is given besides the endoscope's.
+        masks: What trackers are shown of two arms: their union alone, or besides what shows of each arm. ``auto`` is
+            what there is in all of the dataset's pairs.
         scored: Which state is recorded and scored: the tracker's own, or what the filter makes of it.
     """
 
@@ -39,6 +42,10 @@ class InstrumentRow(RowRequest):
     view: Annotated[
         str | None, Field(description="NAME: auxiliary view that trackers see besides the endoscope's.")
     ] = None
+    masks: Annotated[
+        Masks,
+        Field(description="Of two arms: their mask alone, or one mask for each arm besides; auto: what is there."),
+    ] = "auto"
     scored: Annotated[
         Scored, Field(description="Which state is scored: the tracker's own, or what the filter makes of it.")
     ] = "raw"

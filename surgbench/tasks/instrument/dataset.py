@@ -27,6 +27,7 @@ from surgbench.tasks.instrument.format import (
     ROBOT_ARM,
     Arm,
     InstrumentManifest,
+    MaskKind,
     SequenceEntry,
     clean_mask_path,
     labels_path,
@@ -111,6 +112,26 @@ class Sequence:
     def arms(self) -> tuple[Arm, ...]:
         """The arms in the picture, left before right."""
         return self.entry.arms
+
+    @property
+    def instance_kinds(self) -> tuple[MaskKind, ...] | None:
+        """Kinds of the masks that tell what shows of each of two arms; ``None`` where not both are there.
+
+        In a recording they are those of the arms: what a segmenter marks of an arm is what shows of it.
+        """
+        if len(self.arms) < 2:
+            return None
+        visible: tuple[MaskKind, ...] = ("visible_left", "visible_right")
+        alone: tuple[MaskKind, ...] = ("left", "right")
+        for kinds in (visible,) if self.entry.truth else (visible, alone):
+            if set(kinds) <= set(self.entry.kinds):
+                return kinds
+        return None
+
+    def instance_masks(self, frame: int) -> tuple[Mask, ...] | None:
+        """What shows of each arm as somebody has segmented it, left before right; ``None`` where that is not there."""
+        kinds = self.instance_kinds
+        return None if kinds is None else tuple(self.mask(kind, frame) for kind in kinds)
 
     def mask(self, kind: str, frame: int) -> Mask:
         """The mask a tracker sees, ``(height, width)`` bool.

@@ -19,7 +19,7 @@ from surgbench.suite.settings import Job, Plug
 from surgbench.tasks.instrument.dataset import InstrumentDataset, InstrumentUnit
 from surgbench.tasks.instrument.judge import frames_that_count, judged_columns
 from surgbench.tasks.instrument.plan import InstrumentSettings
-from surgbench.tasks.instrument.records import ANSWER_COLUMNS, SHARES
+from surgbench.tasks.instrument.records import ANSWER_COLUMNS, ARM_COLUMNS, SHARES
 from surgbench.tasks.instrument.references import absent_from_masks, reference_errors
 from surgbench.tasks.instrument.units import UnitData
 from surgbench.tasks.instrument.worker import Answer, Setup, waiting
@@ -36,7 +36,8 @@ def own_settings(job: Job) -> InstrumentSettings:
 def unit_data(job: Job, dataset: InstrumentDataset) -> UnitData:
     """The frames of a job's unit."""
     assert isinstance(job.unit, InstrumentUnit)
-    return UnitData(dataset, job.unit, own_settings(job).readings, own_settings(job).view)
+    settings = own_settings(job)
+    return UnitData(dataset, job.unit, settings.readings, settings.view, settings.masks)
 
 
 def child_setup(job: Job, scene: Scene) -> Setup:
@@ -162,7 +163,8 @@ def _mask_errors(
 
 def _frames(answers: list[Answer]) -> dict[str, list[Any]]:
     columns: dict[str, list[Any]] = {"index": list(range(len(answers)))}
-    for name in ANSWER_COLUMNS:
+    names = [*ANSWER_COLUMNS, *(ARM_COLUMNS if answers and answers[0].lost_arms is not None else ())]
+    for name in names:
         values = [getattr(answer, name) for answer in answers]
         columns[name] = [value.tolist() if isinstance(value, np.ndarray) else value for value in values]
     return columns
@@ -199,9 +201,10 @@ def _errors(
         errors |= {name: _finite(np.where(away, np.nan, values)) for name, values in coverages.items()}
     else:
         errors |= {name: _finite(values) for name, values in reference_errors(data, states, away).items()}
-    lost, any_away = [answer.lost for answer in answers], away.any(axis=1)
-    errors["lost_precision"] = _finite(metrics.lost_precision(lost, any_away))
-    errors["lost_recall"] = _finite(metrics.lost_recall(lost, any_away))
+    lost = lost_arms(answers, shape[1])
+    for name, share in (("lost_precision", metrics.lost_precision), ("lost_recall", metrics.lost_recall)):
+        per_arm_shares = [share(*arm) for arm in zip(lost.T, away.T, strict=True)]
+        errors[name] = _finite(per_arm_shares[0] if shape[1] == 1 else np.stack(per_arm_shares, axis=1))
     # There is nothing to be held against a silhouette where no instrument shows.
     nothing = np.asarray(away.all(axis=1))
     seen, clean = zip(*mask_errors, strict=True) if mask_errors else ((), ())
@@ -216,6 +219,12 @@ def _errors(
     errors["start_lag_ms"] = _lags(starts, data)
     errors["jitter"] = _finite(np.array([metrics.jitter(arm, data.sequence.dt_s) for arm in tips]))
     return errors
+
+
+def lost_arms(answers: list[Answer], arms: int) -> NDArray[np.bool_]:
+    """Of which frames each arm is said to be lost, ``(T, arms)``."""
+    own = [answer.lost if answer.lost_arms is None else answer.lost_arms for answer in answers]
+    return np.array(own, dtype=bool).reshape(len(answers), arms)
 
 
 def _judged(

@@ -169,17 +169,21 @@ class _File:
         return self._answer
 
     def _step(self, observation: Observation) -> SimpleNamespace:
-        """The estimate of a frame; of two arms the less certain one counts."""
+        """The estimate of a frame."""
         frame, arms = observation.index, self._arms
         state = np.concatenate([arm.states[frame] for arm in arms])
         told = [arm.deviations[frame] for arm in arms if arm.deviations is not None]
         known = len(told) == len(arms) and bool(np.isfinite(told).all())
+        confidence = np.array([arm.confidence[frame] for arm in arms], dtype=np.float64)
+        lost = np.array([arm.lost[frame] for arm in arms], dtype=bool)
         times = [float(arm.time_ms[frame]) for arm in arms if arm.time_ms is not None]
         answer = {
             "start": state,
             "state": state,
-            "confidence": min(float(arm.confidence[frame]) for arm in arms),
-            "lost": any(bool(arm.lost[frame]) for arm in arms),
+            "confidence": float(confidence.min()),
+            "lost": bool(lost.any()),
+            "confidence_arms": confidence if len(arms) > 1 else None,
+            "lost_arms": lost if len(arms) > 1 else None,
             "standard_deviations": np.concatenate(told) if known else None,
             "latency_ms": max(times) if times else None,
         }

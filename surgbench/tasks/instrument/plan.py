@@ -11,7 +11,7 @@ from surgbench.suite.asked import Conditions
 from surgbench.suite.plug import plug
 from surgbench.suite.settings import Plug, Settings, flat
 from surgbench.suite.slices import cut
-from surgbench.tasks.instrument.asked import InstrumentRow, Readings, Scored
+from surgbench.tasks.instrument.asked import InstrumentRow, Masks, Readings, Scored
 from surgbench.tasks.instrument.dataset import InstrumentDataset
 
 
@@ -21,6 +21,7 @@ class InstrumentSettings(Settings):
 
     Attributes:
         view: Auxiliary view that the tracker is given besides the endoscope's.
+        masks: What it is shown: the mask of all arms alone (``union``), or ``instances`` besides.
         scored: Which state is scored.
     """
 
@@ -29,6 +30,7 @@ class InstrumentSettings(Settings):
     keypoints: Plug
     readings: Readings
     view: str | None = None
+    masks: Masks = "union"
     scored: Scored = "raw"
 
     task: ClassVar[str] = "instrument"
@@ -44,10 +46,12 @@ class InstrumentSettings(Settings):
         return self.filter.needs_truth
 
     def spec(self) -> dict[str, Any]:
-        """Adds the readings, the view where there is one besides the endoscope's, and a scored state not the usual."""
+        """Adds the readings, and a view besides the endoscope's, masks of single arms and a scored state where set."""
         spec = {**super().spec(), "readings": self.readings}
         if self.scored != "raw":
             spec["scored"] = self.scored
+        if self.masks != "union":
+            spec["masks"] = self.masks
         return spec if self.view is None else {**spec, "view": self.view, "views": 2}
 
     def words(self) -> list[str]:
@@ -58,6 +62,8 @@ class InstrumentSettings(Settings):
             words.append(f"{self.readings} readings")
         if self.view is not None:
             words.append(f"also the view {self.view}")
+        if self.masks == "instances":
+            words.append("a mask for each arm")
         if self.scored == "filtered":
             words.append("the filtered state is scored")
         if self.conditions.device != "cpu":
@@ -121,8 +127,34 @@ def complete(row: InstrumentRow, conditions: Conditions, dataset: InstrumentData
         keypoints=keypoints,
         readings=row.readings,
         view=row.view,
+        masks=shown_masks(row.masks, conditions.arms, dataset),
         scored=row.scored,
     )
+
+
+def shown_masks(asked: Masks, arms: str, dataset: InstrumentDataset) -> Masks:
+    """What trackers are shown of two arms, ``union`` or ``instances``; of one arm there is its mask alone.
+
+    Raises:
+        ConfigError: Masks of single arms are asked for, and a pair has not both; one line.
+    """
+    if arms == "single":
+        if asked == "instances":
+            raise ConfigError("--masks instances: is about two arms; use --arms dual")
+        return "union"
+    pairs = [dataset.sequence(unit.sequence) for unit in dataset.units("dual")]
+    without = [sequence for sequence in pairs if sequence.instance_kinds is None]
+    if asked != "instances":
+        return "union" if asked == "union" or without else "instances"
+    if without:
+        first = without[0]
+        has = [kind for kind in first.entry.kinds if kind.startswith("visible_")]
+        what = f"only '{has[0]}'" if has else "no masks of what shows of each arm"
+        raise ConfigError(
+            f"--masks instances: sequence '{first.id}' of '{dataset.name}' has {what} (needed: 'visible_left' and "
+            "'visible_right'); use --masks union"
+        )
+    return "instances"
 
 
 def _check_view(view: str, arms: str, dataset: InstrumentDataset) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import model_validator
 
 from surgbench.geometry import FloatArray
@@ -28,6 +29,8 @@ ANSWER_COLUMNS = (
     "start", "state", "confidence", "lost", "standard_deviations", "latency_ms", "latency_optimise_ms",
     "latency_keypoints_ms", "latency_filter_ms",
 )  # fmt: skip
+# The same, of two arms: each arm's own.
+ARM_COLUMNS = ("confidence_arms", "lost_arms")
 
 
 class InstrumentRecordSpec(RecordSpec):
@@ -41,11 +44,16 @@ class InstrumentRecordSpec(RecordSpec):
     readings: str
     views: int = 1
     view: str | None = None
+    masks: str = "union"
     scored: str = "raw"
 
 
 class InstrumentFrames(Frames):
-    """Per-frame results of an instrument tracker."""
+    """Per-frame results of an instrument tracker.
+
+    Of two arms ``lost`` says whether either is, ``confidence`` is that of the less certain one; each arm's own are in
+    ``lost_arms`` and ``confidence_arms``, which records of one arm have not, and old ones of two.
+    """
 
     start: list[list[float]] = []
     state: list[list[float]] = []
@@ -57,12 +65,26 @@ class InstrumentFrames(Frames):
     latency_keypoints_ms: list[Number] = []
     latency_masks_ms: list[Number] = []
     latency_filter_ms: list[Number] = []
+    confidence_arms: list[list[Number]] = []
+    lost_arms: list[list[bool]] = []
 
     @model_validator(mode="after")
     def _state_size(self) -> InstrumentFrames:
         if self.state and {len(state) for state in self.state} not in ({9}, {18}):
             raise ValueError("'state' must hold 9 or 18 numbers per frame")
         return self
+
+    def lost_of(self, arm: int) -> NDArray[np.bool_]:
+        """``(T,)`` of which frames the tracker says that it has lost an arm."""
+        if self.lost_arms:
+            return np.array(self.lost_arms, dtype=bool)[:, arm]
+        return np.array(self.lost or [False] * len(self.index), dtype=bool)
+
+    def confidence_of(self, arm: int) -> FloatArray:
+        """``(T,)`` how sure the tracker is of an arm, NaN where it has not said."""
+        if self.confidence_arms:
+            return np.array(self.confidence_arms, dtype=np.float64)[:, arm]
+        return np.array(self.confidence or [None] * len(self.index), dtype=np.float64)
 
     @property
     def states(self) -> FloatArray:

@@ -74,11 +74,14 @@ def _job(record: dict[str, Any], dataset: InstrumentDataset) -> Job:
         keypoints=references["keypoints"],
         readings=spec["readings"],
         view=spec.get("view"),
+        masks=spec.get("masks", "union"),
         scored=spec.get("scored", "raw"),
         options={plug["name"]: plug["options"] for plug in plugs if plug["options"]},
         frames=spec.get("frames_limit"),
     )
-    conditions = Conditions(seed=spec["seed"], device=spec.get("device", "cpu"))
+    conditions = Conditions(
+        arms="single" if len(spec["arms"]) == 1 else "dual", seed=spec["seed"], device=spec.get("device", "cpu")
+    )
     unit = InstrumentUnit(spec["unit"], spec["sequence"], tuple(spec["arms"]), spec["mask_kind"])
     frames, everything = record["unit_frames"], record.get("dataset_frames", 0)
     return Job(complete(row, conditions, dataset), dataset.name, dataset.hash, unit, frames, everything, spec["repeat"])

@@ -32,6 +32,8 @@ RECORDING_COLUMNS = (
 )
 
 JUDGED_COLUMNS = number(*JUDGED)
+# Of two arms alone.
+PAIR_COLUMNS = text("masks")
 
 
 def instrument_row(head: Row, records: list[InstrumentRecord]) -> Row:
@@ -60,6 +62,8 @@ def instrument_row(head: Row, records: list[InstrumentRecord]) -> Row:
         "views": spec.views,
         "level": spec.level,
     }
+    if len(spec.arms) > 1:
+        row["masks"] = spec.masks
     for error in ERRORS:
         summary = summarise(_by_sequence(records, error))
         row |= {error: summary.mean, f"{error}_std": summary.std, f"{error}_sem": summary.sem}

@@ -101,10 +101,10 @@ class InstrumentTask(Task):
 
     @property
     def further_columns(self) -> tuple[Field, ...]:
-        """What recordings have in place of truth, and what the readings of their arms say."""
-        from surgbench.tasks.instrument.rows import JUDGED_COLUMNS, RECORDING_COLUMNS
+        """What recordings have in place of truth, what the readings of their arms say, and what pairs have."""
+        from surgbench.tasks.instrument.rows import JUDGED_COLUMNS, PAIR_COLUMNS, RECORDING_COLUMNS
 
-        return (*RECORDING_COLUMNS, *JUDGED_COLUMNS)
+        return (*RECORDING_COLUMNS, *JUDGED_COLUMNS, *PAIR_COLUMNS)
 
     @property
     def shown(self) -> tuple[Column, ...]:

@@ -157,8 +157,8 @@ def record_tracks(record: InstrumentRecord, dataset: InstrumentDataset) -> list[
                 frames=index,
                 timestamps_s=sequence.timestamps_s[index],
                 states=states[:, number],
-                confidence=_numbers(frames.confidence, len(index)),
-                lost=np.array(frames.lost or [False] * len(index), dtype=bool),
+                confidence=frames.confidence_of(number),
+                lost=frames.lost_of(number),
                 latency_ms=_numbers(frames.latency_ms, len(index)),
                 deviations=None if deviations is None else deviations[:, number],
             )

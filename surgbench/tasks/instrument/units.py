@@ -13,7 +13,7 @@ from surgbench.instrument import Instrument
 from surgbench.keypoints.found import Tips
 from surgbench.metrics import OUT_OF_VIEW_SHARE
 from surgbench.state import STATE_SIZE
-from surgbench.tasks.instrument.asked import Readings
+from surgbench.tasks.instrument.asked import Masks, Readings
 from surgbench.tasks.instrument.dataset import InstrumentDataset, InstrumentUnit, Sequence
 
 
@@ -25,10 +25,16 @@ class UnitData:
         unit: One of its units.
         readings: Which joint readings observations hold.
         view: Auxiliary view that observations hold besides the endoscope's.
+        masks: Whether the endoscope's view holds, of a pair, ``instances`` besides the union.
     """
 
     def __init__(
-        self, dataset: InstrumentDataset, unit: InstrumentUnit, readings: Readings, view: str | None = None
+        self,
+        dataset: InstrumentDataset,
+        unit: InstrumentUnit,
+        readings: Readings,
+        view: str | None = None,
+        masks: Masks = "union",
     ) -> None:
         self.unit = unit
         self.sequence: Sequence = dataset.sequence(unit.sequence)
@@ -41,6 +47,7 @@ class UnitData:
         self._joints = self._joint_readings(readings)
         # From the same encoders as the joints' readings, and never better than those.
         self._kinematics = None if readings == "none" else self._stack([self.sequence.kinematics(a) for a in unit.arms])
+        self._tells_apart = masks == "instances" and len(unit.arms) == 2
         self._auxiliary = None if view is None else self.sequence.auxiliary(view)
         self._limits = self.scene().joint_limits
 
@@ -106,10 +113,12 @@ class UnitData:
         kinematics = None
         if self._kinematics is not None and not np.isnan(self._kinematics[frame]).any():
             kinematics = self._kinematics[frame]
+        alone = self.sequence.instance_masks(frame) if self._tells_apart else None
+        view = View(self.camera, np.eye(4), mask, alone, keypoints=keypoints, image=image)
         return Observation(
             index=frame,
             timestamp_s=float(self.sequence.timestamps_s[frame]),
-            views=(View(self.camera, np.eye(4), mask, keypoints=keypoints, image=image), *self._further_views(frame)),
+            views=(view, *self._further_views(frame)),
             start=np.zeros(STATE_SIZE * len(self.unit.arms)),
             joints=joints,
             kinematics=kinematics,

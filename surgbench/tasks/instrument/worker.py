@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from surgbench.contract import Estimate, Observation, Scene, TimedFilter, Trace, Traceable
 from surgbench.errors import InvalidAnswerError
@@ -53,6 +54,9 @@ class Setup:
 class Answer:
     """One frame's estimate and what it took.
 
+    Of two arms ``confidence`` is that of the less certain one, and ``lost`` says whether either is; ``confidence_arms``
+    and ``lost_arms`` hold each arm's own, ``(arms,)``, and are ``None`` of one arm.
+
     ``latency_keypoints_ms`` is what the tracker waited for the keypoint source: 0 where it did not look at the tips. It
     is not in ``latency_optimise_ms``. ``latency_filter_ms`` is the filter's ``predict`` and ``update``. All are
     ``None`` of a frame that no tracker was asked about.
@@ -67,11 +71,15 @@ class Answer:
     latency_optimise_ms: float | None
     latency_keypoints_ms: float | None
     latency_filter_ms: float | None
+    confidence_arms: FloatArray | None = None
+    lost_arms: NDArray[np.bool_] | None = None
 
 
 def waiting(first: FloatArray) -> Answer:
     """Of a frame before any instrument shows: lost, and for want of another the state that tracking will begin with."""
-    return Answer(first.copy(), first.copy(), 0.0, True, None, None, None, None, None)
+    arms = first.size // STATE_SIZE
+    answer = Answer(first.copy(), first.copy(), 0.0, True, None, None, None, None, None)
+    return answer if arms == 1 else replace(answer, confidence_arms=np.zeros(arms), lost_arms=np.ones(arms, dtype=bool))
 
 
 def check_state(value: Any, size: int, who: str) -> FloatArray:
@@ -83,19 +91,35 @@ def check_state(value: Any, size: int, who: str) -> FloatArray:
     return _finite(value, size, f"{who} returned a state")
 
 
-def check_confidence(value: Any, who: str) -> float:
-    """A plug-in's confidence as a finite number.
+def check_confidence(value: Any, arms: int, who: str) -> FloatArray:
+    """A plug-in's confidence, of all arms together or ``(arms,)``, as ``(arms,)`` finite numbers.
 
     Raises:
         InvalidAnswerError: It is something else.
     """
     try:
-        confidence = float(value)
+        confidence = np.array(value, dtype=np.float64)
     except (TypeError, ValueError):
-        confidence = np.nan
-    if not np.isfinite(confidence):
+        confidence = np.array(np.nan)
+    if confidence.shape not in ((), (arms,)):
+        raise InvalidAnswerError(f"{who} returned a confidence of shape {confidence.shape}, not a number or ({arms},)")
+    if not np.isfinite(confidence).all():
         raise InvalidAnswerError(f"{who} returned a confidence that is no number ({value!r})")
-    return confidence
+    return np.array(np.broadcast_to(confidence, (arms,)))
+
+
+def check_lost(value: Any, arms: int, who: str) -> NDArray[np.bool_]:
+    """What a plug-in says of being lost, of all arms together or ``(arms,)``, as ``(arms,)`` bool.
+
+    Raises:
+        InvalidAnswerError: It is something else.
+    """
+    lost = np.asarray(value)
+    if lost.shape == ():
+        return np.full(arms, bool(value))
+    if lost.shape != (arms,):
+        raise InvalidAnswerError(f"{who} returned 'lost' of shape {lost.shape}, not a bool or ({arms},)")
+    return np.array(lost, dtype=bool)
 
 
 def check_standard_deviations(value: Any, size: int, who: str) -> FloatArray | None:
@@ -208,7 +232,9 @@ class Loop:
         optimise_s = time.perf_counter() - before - (self._keypoints.asked_s - waited_s)
         estimate = answer if isinstance(answer, Estimate) else Estimate(answer)
         state = check_state(estimate.state, self._size, f"tracker '{self._setup.tracker.name}'")
-        confidence = check_confidence(estimate.confidence, f"tracker '{self._setup.tracker.name}'")
+        arms = self._scene.arms
+        confidence = check_confidence(estimate.confidence, arms, f"tracker '{self._setup.tracker.name}'")
+        lost = check_lost(estimate.lost, arms, f"tracker '{self._setup.tracker.name}'")
         deviations = check_standard_deviations(
             estimate.standard_deviations, self._size, f"tracker '{self._setup.tracker.name}'"
         )
@@ -220,13 +246,15 @@ class Loop:
         return Answer(
             start=start,
             state=state,
-            confidence=confidence,
-            lost=bool(estimate.lost),
+            confidence=float(confidence.min()),
+            lost=bool(lost.any()),
             standard_deviations=deviations,
             latency_ms=1e3 * (time.perf_counter() - begin),
             latency_optimise_ms=1e3 * optimise_s,
             latency_keypoints_ms=1e3 * self._keypoints.asked_s,
             latency_filter_ms=1e3 * filter_s,
+            confidence_arms=None if arms == 1 else confidence,
+            lost_arms=None if arms == 1 else lost,
         )
 
 

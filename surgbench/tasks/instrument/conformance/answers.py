@@ -20,8 +20,9 @@ def plain(subject: Subject, alive: Alive) -> str:
     """One arm, its mask and its tips: every answer is a finite state."""
     play = play_of(subject)
     steps = run_through(subject.make(), play, alive)
-    beyond = [step.confidence for step in steps if not 0.0 <= step.confidence <= 1.0]
-    if beyond:
+    confidence = np.array([step.confidence for step in steps])
+    beyond = confidence[(confidence < 0) | (confidence > 1)]
+    if beyond.size:
         raise DoubtError(f"a confidence of {beyond[0]:g} is not between 0 and 1")
     off_mm = 1e3 * float(np.linalg.norm(steps[-1].state[POSITION] - play.truth[-1, POSITION]))
     return f"{off_mm:.1f} mm off after {len(steps)} frames"

@@ -35,7 +35,7 @@ def _masked(subject: Subject, alive: Alive, value: bool) -> str:
     play = play_of(subject)
     masks = {frame.index: _all_pixels(value) for frame in play.observations}
     steps = run_through(subject.make(), play.with_masks(masks), alive)
-    return f"says that it is lost in {sum(step.lost for step in steps)} of {len(steps)} frames"
+    return f"says that it is lost in {sum(step.lost.any() for step in steps)} of {len(steps)} frames"
 
 
 def lost_and_found(subject: Subject, alive: Alive) -> str:
@@ -45,7 +45,7 @@ def lost_and_found(subject: Subject, alive: Alive) -> str:
     steps = run_through(subject.make(), play.with_masks({index: _all_pixels(False) for index in gone}), alive)
     reference = Reference(play.observations[-1].mask)
     overlap = float(evaluator(1).score(steps[-1].state[None], reference).iou(reference)[0])
-    said = sum(steps[index].lost for index in gone)
+    said = sum(steps[index].lost.any() for index in gone)
     return f"says so in {said} of 3 frames; overlap {overlap:.2f} some frames after"
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from surgbench.conformance.subject import CheckFailedError
 from surgbench.contract import Estimate, Observation, Scene
@@ -15,27 +16,26 @@ from surgbench.geometry import FloatArray
 from surgbench.randomness import generator
 from surgbench.state import JOINTS, STATE_SIZE, clip_joints, split_arms
 from surgbench.tasks.instrument.conformance.scenes import Play
-from surgbench.tasks.instrument.worker import check_confidence, check_standard_deviations, check_state
+from surgbench.tasks.instrument.worker import check_confidence, check_lost, check_standard_deviations, check_state
 
 
 @dataclass(frozen=True)
 class Step:
-    """One frame's answer, checked for its form."""
+    """One frame's answer, checked for its form; ``confidence`` and ``lost`` are ``(arms,)``."""
 
     state: FloatArray
-    confidence: float
-    lost: bool
+    confidence: FloatArray
+    lost: NDArray[np.bool_]
     standard_deviations: FloatArray | None
     latency_s: float
 
     def same(self, other: Step) -> bool:
         """Whether two answers are equal to the last bit."""
-        mine, theirs = (self.confidence, self.lost), (other.confidence, other.lost)
-        deviations = (self.standard_deviations, other.standard_deviations)
-        return mine == theirs and np.array_equal(self.state, other.state) and _same(*deviations)
+        mine, theirs = ((one.confidence, one.lost, one.state, one.standard_deviations) for one in (self, other))
+        return all(_same(*pair) for pair in zip(mine, theirs, strict=True))
 
 
-def _same(one: FloatArray | None, other: FloatArray | None) -> bool:
+def _same(one: NDArray[Any] | None, other: NDArray[Any] | None) -> bool:
     return one is other if one is None or other is None else np.array_equal(one, other)
 
 
@@ -79,14 +79,16 @@ class Session:
         self._alive()
         estimate = answer if isinstance(answer, Estimate) else Estimate(answer)
         state = check_state(estimate.state, STATE_SIZE * self.scene.arms, f"frame {observation.index}: step")
-        confidence = check_confidence(estimate.confidence, f"frame {observation.index}: step")
-        if not isinstance(estimate.lost, bool | np.bool_):
+        arms = self.scene.arms
+        confidence = check_confidence(estimate.confidence, arms, f"frame {observation.index}: step")
+        if np.asarray(estimate.lost).dtype != np.bool_:
             raise CheckFailedError(f"frame {observation.index}: 'lost' is {type(estimate.lost).__name__}, not bool")
+        lost = check_lost(estimate.lost, arms, f"frame {observation.index}: step")
         deviations = check_standard_deviations(
             estimate.standard_deviations, len(state), f"frame {observation.index}: step"
         )
         self.last = state
-        return Step(state, confidence, bool(estimate.lost), deviations, latency_s)
+        return Step(state, confidence, lost, deviations, latency_s)
 
     def follow(self, observations: Iterable[Observation]) -> list[Step]:
         """Several frames."""

@@ -1,0 +1,132 @@
+"""Two arms: what trackers are shown of them, what they may answer, and what is kept and measured of it."""
+
+from __future__ import annotations
+
+import pickle
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from commandline import records, surgbench
+from small_dataset import make_pair
+
+from surgbench.errors import InvalidAnswerError
+from surgbench.report.rows import read_rows
+from surgbench.tasks.instrument.units import UnitData
+from surgbench.tasks.instrument.worker import check_confidence, check_lost
+
+BOTH = ("visible_left", "visible_right")
+TRACKER = """
+import numpy as np
+from surgbench import Estimate
+
+class Tracker:
+    name = "half"
+
+    def reset(self, scene, state, rng):
+        pass
+
+    def step(self, observation):
+        told = observation.views[0].instance_masks
+        share = [0.25, 0.75] if told is None else [float(mask.mean()) for mask in told]
+        return Estimate(observation.start, confidence=np.array(share), lost=np.array([False, observation.index == 1]))
+"""
+
+
+def test_instance_masks_reach_a_tracker_as_they_lie_in_the_dataset(tmp_path: Path) -> None:
+    dataset = make_pair(tmp_path, sequences=1, visible=BOTH)
+    unit = dataset.units("dual")[0]
+    mask = dataset.sequence("000").mask("both", 1)
+    view = UnitData(dataset, unit, "none", masks="instances").observation(1, mask).views[0]
+    sent = pickle.dumps(view)
+    there = pickle.loads(sent)
+    assert len(sent) < mask.size  # as bits
+    assert [np.array_equal(one, two) for one, two in zip(view.instance_masks or (), there.instance_masks, strict=True)]
+    assert np.array_equal(there.instance_masks[1], dataset.sequence("000").mask("visible_right", 1))
+    assert UnitData(dataset, unit, "none").observation(1, mask).views[0].instance_masks is None
+    alone = UnitData(dataset, dataset.units("single")[0], "none", masks="instances")
+    assert alone.observation(1, mask).views[0].instance_masks is None
+
+
+def test_the_arms_of_a_recording_are_instances(tmp_path: Path) -> None:
+    assert (
+        make_pair(tmp_path / "with", truth=True).sequences[0].instance_kinds is None
+    )  # as if the other were not there
+    assert make_pair(tmp_path / "without", truth=False).sequences[0].instance_kinds == ("left", "right")
+
+
+def test_masks_are_what_there_is_and_each_arm_has_its_own_confidence(tmp_path: Path) -> None:
+    (tmp_path / "half.py").write_text(TRACKER)
+    make_pair(tmp_path / "told", sequences=1, visible=BOTH, name="told")
+    make_pair(tmp_path / "plain", sequences=1, name="plain")
+    run: tuple[Any, ...] = (
+        "--tracker",
+        f"{tmp_path / 'half.py'}:Tracker",
+        "--arms",
+        "dual",
+        "--out",
+        tmp_path / "runs",
+    )
+    for folder, masks in (("told", ()), ("told", ("--masks", "union")), ("plain", ())):
+        surgbench("run", "--dataset", tmp_path / folder, *run, *masks)
+    found = records(tmp_path / "runs")
+    shown = {(one["spec"]["dataset"]["name"], one["spec"].get("masks")): one["frames"] for one in found}
+    assert set(shown) == {("told", "instances"), ("told", None), ("plain", None)}
+    for (_, masks), frames in shown.items():
+        assert frames["lost"] == [False, True, False, False]
+        assert frames["lost_arms"][1] == [False, True]
+        assert (frames["confidence_arms"][0] == [0.25, 0.75]) == (masks is None)
+        assert frames["confidence"] == [min(arms) for arms in frames["confidence_arms"]]
+    rows = read_rows([tmp_path / "runs"])
+    assert sorted(row["masks"] for row in rows) == ["instances", "union", "union"]
+
+
+def test_a_row_of_single_arms_has_no_column_of_masks(tmp_path: Path) -> None:
+    (tmp_path / "still.py").write_text(
+        TRACKER.replace("np.array(share)", "0.5").replace("np.array([False, observation.index == 1])", "False")
+    )
+    make_pair(tmp_path / "data", sequences=1, visible=BOTH)
+    surgbench(
+        "run",
+        "--dataset",
+        tmp_path / "data",
+        "--tracker",
+        f"{tmp_path / 'still.py'}:Tracker",
+        "--out",
+        tmp_path / "runs",
+    )
+    assert "masks" not in read_rows([tmp_path / "runs"])[0]
+    assert all("lost_arms" not in one["frames"] for one in records(tmp_path / "runs"))
+
+
+@pytest.mark.parametrize(
+    ("visible", "arms", "words"),
+    [
+        ((), "dual", "has no masks of what shows of each arm"),
+        (BOTH[:1], "dual", "has only 'visible_left'"),
+        (BOTH, "single", "use --arms dual"),
+    ],
+)
+def test_masks_of_instances_that_are_not_there(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], visible: Any, arms: str, words: str
+) -> None:
+    make_pair(tmp_path / "data", sequences=1, visible=visible)
+    asked = ("run", "--dataset", tmp_path / "data", "--tracker", "hybrid", "--arms", arms, "--masks", "instances")
+    surgbench(*asked, "--out", tmp_path / "runs", expect=2)
+    line = capsys.readouterr().err
+    assert line.count("\n") == 1
+    assert words in line
+    assert "--masks instances" in line
+
+
+def test_confidence_and_lost_are_of_all_arms_or_of_each() -> None:
+    assert check_confidence(0.5, 2, "it").tolist() == [0.5, 0.5]
+    assert check_confidence([0.5, 1], 2, "it").tolist() == [0.5, 1.0]
+    assert check_lost(True, 2, "it").tolist() == [True, True]
+    assert check_lost(np.array([True, False]), 2, "it").tolist() == [True, False]
+    for wrong in ([0.5], [0.5, np.nan], "high", [[0.5, 0.5]]):
+        with pytest.raises(InvalidAnswerError, match="it returned a confidence"):
+            check_confidence(wrong, 2, "it")
+    with pytest.raises(InvalidAnswerError, match=r"'lost' of shape \(3,\)"):
+        check_lost(np.zeros(3, dtype=bool), 2, "it")
