@@ -19,7 +19,7 @@ from surgbench.keypoints.found import FoundTips
 from surgbench.metrics import OUT_OF_VIEW_SHARE, RECOVERED_M, pose_errors
 from surgbench.silhouette import Reference, SilhouetteEvaluator
 from surgbench.state import ANGLES, BETA, JOINTS, POSITION, STATE_SCALE, STATE_SIZE
-from surgbench.trackers.hybrid import ACCELERATION, SETTLING_S, VELOCITY, HybridTracker
+from surgbench.trackers.hybrid import HybridTracker
 from surgbench.trackers.registration.arrival import DISTANCES, PATIENCE, STEADY, Whereabouts, arrivals
 from surgbench.trackers.registration.belief import NO_SHAPE, MotionBelief
 from surgbench.trackers.registration.edges import (
@@ -29,6 +29,7 @@ from surgbench.trackers.registration.edges import (
     missed_lengths,
 )
 from surgbench.trackers.registration.fit import ContourFit, FitConfig, Prior
+from surgbench.trackers.registration.follower import ACCELERATION, SETTLING_S, VELOCITY
 from surgbench.trackers.registration.jaws import JawJudge
 from surgbench.trackers.registration.proposals import (
     SWEPT,
@@ -586,6 +587,7 @@ MOVED = [
     np.array([0.08, 0.5, -0.05, 0.004, -0.004, 0.015, 0.3, -0.2, 0.1]),
     np.array([-0.05, -0.5, 0.08, -0.005, 0.005, -0.012, -0.3, 0.3, -0.1]),
 ]
+
 
 @pytest.mark.slow
 # Of the third absence seed 1 stops where the belief knows nothing yet of how fast the instrument comes in.

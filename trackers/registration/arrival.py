@@ -30,7 +30,6 @@ class Whereabouts:
         sure: ``(n,)`` where it was last seen for sure.
         lost: It was lost, and has not been seen for sure since.
         unseen: Next to nothing was in the last mask.
-        fresh: It is lost, or was found again so lately that how fast it moves is hardly known.
         doubted: It is lost, or has slipped so lately that edges which do not fit say nothing of the instrument.
     """
 
@@ -43,6 +42,7 @@ class Whereabouts:
 
     @property
     def fresh(self) -> bool:
+        """Whether it is lost, or was found again so lately that how fast it moves is hardly known."""
         return self._since < FRESH
 
     def note(self, state: FloatArray, share: float, *, lost: bool, fits: bool) -> None:

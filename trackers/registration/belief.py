@@ -156,6 +156,15 @@ class MotionBelief:
         most = fastest / self._scale
         self._mean[n : 2 * n] = np.clip(self._mean[n : 2 * n], -most, most)
 
+    def settle(self, kept: float) -> None:
+        """Velocities fall to a share of what they are, and what is not known of them tends to that at the beginning."""
+        n = len(self._scale)
+        velocities = slice(n, 2 * n)
+        self._mean[velocities] *= kept
+        self._covariance[velocities] *= kept
+        self._covariance[:, velocities] *= kept
+        self._covariance[velocities, velocities] += np.diag((1.0 - kept**2) * self._velocity_variance)
+
     def near(self, state: FloatArray) -> FloatArray:
         """The same state with each angle turned by full turns to lie nearest to the mean."""
         turned = np.array(state, dtype=np.float64)
