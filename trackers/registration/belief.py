@@ -156,6 +156,11 @@ class MotionBelief:
         most = fastest / self._scale
         self._mean[n : 2 * n] = np.clip(self._mean[n : 2 * n], -most, most)
 
+    def draw(self, count: int, rng: np.random.Generator) -> FloatArray:
+        """``(count, n)`` states as likely as they are believed to be."""
+        root = np.linalg.cholesky(self.covariance)
+        return np.asarray(self.state + rng.standard_normal((count, len(root))) @ root.T * self._scale)
+
     def settle(self, kept: float) -> None:
         """Velocities fall to a share of what they are, and what is not known of them tends to that at the beginning."""
         n = len(self._scale)

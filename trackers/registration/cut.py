@@ -26,6 +26,7 @@ REACH_PX = 16  # from an arm's silhouette, beyond which a mask may be a lost oth
 CLEAR = 2.0  # times as many pixels for one arm being in front, or for masks being exchanged, as for the contrary
 FEW_PIXELS = 30  # tell neither
 SAME_IOU = 0.9  # masks of two arms that overlap more are one and the same
+LOCAL_PX = 41  # around a pixel, in which it shows which arm is in front
 SPECK_PX = 5  # opening that a lost arm's mask is cleaned by: what the other's silhouette leaves at its edges
 MEMORY = 0.95  # of whether masks are exchanged, from frame to frame
 
@@ -88,17 +89,15 @@ class Cutter:
             self.exchanged = self._mostly > 0
         if self.exchanged:
             masks, shared = masks[::-1], shared[:, ::-1]
-        # Where one arm is expected and the other is seen, that one is in front.
-        before = [0 if lost[1] else shared[1, 0], 0 if lost[0] else shared[0, 1]]
-        parts = []
-        for arm in range(2):
-            mine, others = before[arm], before[1 - arm]
-            if mine > CLEAR * others and mine >= FEW_PIXELS:
-                hidden = np.zeros(self._shape, dtype=bool)
-            else:
-                hidden = _grown(masks[1 - arm], MARGIN_PX)
-            parts.append((masks[arm], hidden))
-        return parts
+        hides = [_grown(mask, MARGIN_PX) for mask in masks]
+        # Where one arm is expected and the other is seen, that one is in front: around there, it is seen whole.
+        before = [masks[arm] & silhouettes[1 - arm] & (not lost[1 - arm]) for arm in range(2)]
+        place = _around(before[0] | before[1], LOCAL_PX)
+        if place is not None:
+            near = [cv2.boxFilter(one[place].astype(np.float32), -1, (LOCAL_PX, LOCAL_PX)) for one in before]
+            for arm in range(2):
+                hides[arm][place] &= near[1 - arm] <= CLEAR * near[arm]
+        return [(masks[arm], hides[1 - arm]) for arm in range(2)]
 
     def _assigned(self, tips: Tips, own: FloatArray) -> Tips:
         """Tips of the arm that each is expected at: who found them may have taken one arm for the other."""
@@ -150,15 +149,19 @@ def _of_union(view: View, silhouettes: Sequence[Mask], lost: Sequence[bool]) -> 
     return parts
 
 
+def _around(mask: Mask, by_px: int) -> tuple[slice, slice] | None:
+    """Rows and columns where a mask is, and around it; ``None`` for an empty one."""
+    left, top, width, height = cv2.boundingRect(mask.view(np.uint8))
+    if not width:
+        return None
+    return slice(max(top - by_px, 0), top + height + by_px), slice(max(left - by_px, 0), left + width + by_px)
+
+
 def _grown(mask: Mask, by_px: int) -> Mask:
     square = np.ones((2 * by_px + 1, 2 * by_px + 1), np.uint8)
-    left, top, width, height = cv2.boundingRect(mask.view(np.uint8))
+    around = _around(mask, by_px)
     grown: NDArray[np.bool_] = np.zeros_like(mask)
-    if width:
-        around = (
-            slice(max(top - by_px, 0), top + height + by_px),
-            slice(max(left - by_px, 0), left + width + by_px),
-        )
+    if around is not None:
         grown[around] = cv2.dilate(np.ascontiguousarray(mask[around]).view(np.uint8), square).view(np.bool_)
     return grown
 

@@ -32,6 +32,8 @@ VELOCITY = np.array([0.3, 1.0, 0.3, 0.02, 0.02, 0.02, 0.5, 0.5, 0.3])
 SETTLING_S = np.array([*[np.inf] * 8, 0.5])
 # How well the first state, or a hypothesis just found, is known.
 FOUND = np.array([0.01, 0.05, 0.03, 5e-4, 5e-4, 1e-3, 0.05, 0.05, 0.05])
+# How well a drawn state is known.
+DRAWN = np.array([0.1, 1.0, 0.2, 5e-3, 5e-3, 2e-2, 1.0, 1.0, 1.0])
 # How fast an arm that comes back is put in.
 ARRIVING = np.array([0.3, 1.0, 0.3, 0.3, 0.3, 0.3, 0.5, 0.5, 0.3])
 YAW_AND_JAWS = slice(JOINTS.start + 1, JOINTS.stop)
@@ -47,7 +49,8 @@ JAW_PX = 3
 BEST_JAWS = 0.15  # what masks leave unexplained of jaws that are right, of their own contour
 BEST_UNEXPLAINED = 0.02  # what masks leave unexplained of a right state
 # Of one of two arms. Tips that are known no better make the estimate a lost one; and better than so nothing is hidden.
-LOST_M, HIDDEN_M = 0.005, 0.0015
+# What is believed of something hidden is as it says, unlike what edges tell (STATED).
+LOST_M, HIDDEN_M = 0.005, 0.0025
 # What no frame tells of moves on for so many seconds only, and then at such speeds: hands go to and fro.
 HIDDEN_SETTLES_S = 0.3
 TELLING_PX = 40.0  # of visible contour, below which no edge is missed
@@ -183,12 +186,12 @@ class Follower:
         )
 
     def tip_sd_m(self, hypothesis: Hypothesis) -> float:
-        """How far off the tips' centre is expected to be, metres."""
+        """How far off the tips' centre is believed to be, metres."""
         belief = hypothesis.belief
         states = hypothesis.state + np.concatenate([np.zeros((1, STATE_SIZE)), 0.01 * np.diag(STATE_SCALE)])
         places = self.scene.instruments[0].tips_cam(states).mean(axis=1)
         J = (places[1:] - places[0]) / 0.01  # metres per natural step
-        return STATED * float(np.sqrt(np.einsum("ia,ij,ja->", J, belief.covariance, J)))
+        return float(np.sqrt(np.einsum("ia,ij,ja->", J, belief.covariance, J)))
 
     def _fits(self, best: Hypothesis) -> bool:
         """Whether nothing has slipped that would be worth a search."""
@@ -227,7 +230,7 @@ class Follower:
         jaws = float(np.log(hypothesis.missed_jaws + BEST_JAWS))
         return self.options.trust * whole + self.options.trust_jaws * jaws
 
-    def _adopt(self, found: Hypothesis, best: Hypothesis) -> bool:
+    def _adopt(self, found: Hypothesis, fit: Fit, best: Hypothesis) -> bool:
         """Follow a story beside the best one, unless it is far worse or one that is followed already.
 
         Its cost is that of this frame: what was before they share.
@@ -239,7 +242,9 @@ class Follower:
         ):
             return False
         belief = copy.deepcopy(best.belief)
-        belief.restart(found.state, FOUND)
+        belief.restart(found.state, DRAWN if self._part else FOUND)
+        if self._part:  # it may be seen but for a little, which tells of it no more than that
+            belief.update(fit.state, fit.shape, fit.information)
         self.hypotheses.append(replace(found, belief=belief))
         return True
 

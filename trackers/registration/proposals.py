@@ -31,6 +31,7 @@ class Move(IntEnum):
     BOTH = 3  # turned, and all joints anew
     NEAR = 4  # a little in everything
     SWEEP = 5  # one jaw exactly where it is, the other at every place in turn
+    BELIEVED = 6  # anything that is believed to be likely
 
 
 MOVES = (Move.TURN, Move.JAW, Move.TURN, Move.JOINTS, Move.JAW, Move.BOTH, Move.TURN, Move.JAW, Move.JOINTS, Move.NEAR)

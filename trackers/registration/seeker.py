@@ -15,15 +15,14 @@ from surgbench.trackers.optimisers.cma import CMA
 from surgbench.trackers.optimisers.cma_settings import tutorial_settings
 from surgbench.trackers.registration.arrival import arrivals
 from surgbench.trackers.registration.fit import Fit, Prior
-from surgbench.trackers.registration.follower import ARRIVING, Follower
+from surgbench.trackers.registration.follower import ARRIVING, DRAWN, HIDDEN_M, Follower
 from surgbench.trackers.registration.hypothesis import SAME, Hypothesis
 from surgbench.trackers.registration.options import HybridOptions
 from surgbench.trackers.registration.proposals import Move, best_of_each, jump_cost, propose, sweep_jaws
 
-# How well a drawn state is known.
-DRAWN = np.array([0.1, 1.0, 0.2, 5e-3, 5e-3, 2e-2, 1.0, 1.0, 1.0])
 # What may have changed while nothing was seen, once it is put where the mask is.
 AWAY = np.array([0.15, 0.7, 0.15, 1.2e-2, 1.2e-2, 2.5e-2, 0.5, 0.5, 0.4])
+BELIEVED = 64  # states drawn as is believed, of an arm that was hidden
 LOOK_EVERY = 3  # frames
 LOOKS_BETTER = 0.85  # share of the loss that another place of a jaw has to have
 # Iterations, and from one contour point to the next: of all that a search has drawn and liked, and of the best of them.
@@ -98,7 +97,7 @@ class Seeker(Follower):
     def _search(self, best: Hypothesis, last: FloatArray, observation: Observation) -> bool:
         """Draw, score and refine other states; the best of them becomes a hypothesis. Returns whether one did."""
         states = self._draw(np.stack([best.state, last]), observation)
-        found: Hypothesis | None = None
+        found: tuple[Hypothesis, Fit] | None = None
         least = np.inf
         for fit in self._refine(states, observation, lambda state: best.belief.prior_at(state, self._drawn)):
             candidate = Hypothesis(best.belief, fit.state, 0.0)
@@ -108,8 +107,8 @@ class Seeker(Follower):
             pixels = float(self._objective(fit.state[None])[0][0])
             total = candidate.total + PIXELS * np.log(pixels + 1.0)
             if total < least:
-                found, least = candidate, total
-        return found is not None and self._adopt(found, best)
+                found, least = (candidate, fit), total
+        return found is not None and self._adopt(*found, best)
 
     def _recover(self, best: Hypothesis, observation: Observation) -> None:
         """Look for an instrument that was lost, along its shaft; what is found is followed.
@@ -153,6 +152,10 @@ class Seeker(Follower):
             swept = sweep_jaws(centres, scene.joint_limits)
             states = np.concatenate([states, swept])
             moves = np.append(moves, np.full(len(swept), Move.SWEEP))
+        if self._part and self.hypotheses and self.tip_sd_m(self.hypotheses[0]) > HIDDEN_M:
+            believed = self.hypotheses[0].belief.draw(BELIEVED, self._rng)
+            states = np.concatenate([states, clip_joints(believed, scene.joint_limits)])
+            moves = np.append(moves, np.full(BELIEVED, Move.BELIEVED))
         losses = self._objective(states)[0]
         order = best_of_each(losses, moves, options.refined)
         if options.generations:
@@ -210,7 +213,7 @@ class Seeker(Follower):
         found = Hypothesis(best.belief, fit.state, 0.0)
         self._judge(found, fit, observation)
         found.cost, found.jump = self._frame_cost(found), jump_cost(fit.state, last)
-        self._adopt(found, best)
+        self._adopt(found, fit, best)
 
     def _evolve(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Samples of a few generations of CMA-ES from a state on, and their losses."""
