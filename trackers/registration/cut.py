@@ -19,6 +19,7 @@ from surgbench.geometry import FloatArray
 from surgbench.keypoints.found import FoundTips, Tips
 from surgbench.silhouette import KeypointProjector, SilhouetteEvaluator, iou
 from surgbench.trackers.arm_masks import mask_per_arm
+from surgbench.trackers.registration.order import Order
 from surgbench.trackers.registration.part import PartView
 
 MARGIN_PX = 2  # around what hides: expected silhouettes are off by as much, and masks are
@@ -26,7 +27,6 @@ REACH_PX = 16  # from an arm's silhouette, beyond which a mask may be a lost oth
 CLEAR = 2.0  # times as many pixels for one arm being in front, or for masks being exchanged, as for the contrary
 FEW_PIXELS = 30  # tell neither
 SAME_IOU = 0.9  # masks of two arms that overlap more are one and the same
-LOCAL_PX = 41  # around a pixel, in which it shows which arm is in front
 SPECK_PX = 5  # opening that a lost arm's mask is cleaned by: what the other's silhouette leaves at its edges
 MEMORY = 0.95  # of whether masks are exchanged, from frame to frame
 
@@ -46,7 +46,7 @@ class Cutter:
         camera = scene.views[index].camera
         self._evaluators = [SilhouetteEvaluator([one], camera) for one in scene.instruments]
         self._projector = KeypointProjector(scene.instruments, camera)
-        self._shape = camera.height, camera.width
+        self._order = Order(scene.instruments, camera)
         self._mostly = 0.0  # below 0 where masks are the right way round, as a rule
         self.exchanged = False
 
@@ -65,7 +65,7 @@ class Cutter:
             self.exchanged = False
             parts = _of_union(view, silhouettes, lost)
         else:
-            parts = self._of_each(apart, silhouettes, lost)
+            parts = self._of_each(apart, silhouettes, own, lost)
         found = view.found
 
         def tips(arm: int) -> FoundTips:
@@ -75,7 +75,7 @@ class Cutter:
         return one, other
 
     def _of_each(
-        self, masks: tuple[Mask, Mask], silhouettes: Sequence[Mask], lost: Sequence[bool]
+        self, masks: tuple[Mask, Mask], silhouettes: Sequence[Mask], own: FloatArray, lost: Sequence[bool]
     ) -> list[tuple[Mask, Mask]]:
         """Masks and what is hidden, from a mask of each arm."""
         # Pixels of each silhouette in each mask.
@@ -90,13 +90,7 @@ class Cutter:
         if self.exchanged:
             masks, shared = masks[::-1], shared[:, ::-1]
         hides = [_grown(mask, MARGIN_PX) for mask in masks]
-        # Where one arm is expected and the other is seen, that one is in front: around there, it is seen whole.
-        before = [masks[arm] & silhouettes[1 - arm] & (not lost[1 - arm]) for arm in range(2)]
-        place = _around(before[0] | before[1], LOCAL_PX)
-        if place is not None:
-            near = [cv2.boxFilter(one[place].astype(np.float32), -1, (LOCAL_PX, LOCAL_PX)) for one in before]
-            for arm in range(2):
-                hides[arm][place] &= near[1 - arm] <= CLEAR * near[arm]
+        self._order.clear(hides, masks, silhouettes, own, lost)
         return [(masks[arm], hides[1 - arm]) for arm in range(2)]
 
     def _assigned(self, tips: Tips, own: FloatArray) -> Tips:

@@ -122,7 +122,7 @@ class Follower:
             for hypothesis in self.hypotheses:
                 if self.whereabouts.fresh:  # the jump back to where it is is no speed
                     hypothesis.belief.slow(ARRIVING)
-                if self._part and self.tip_sd_m(hypothesis) > HIDDEN_M:
+                if self._part and hypothesis.off_m > HIDDEN_M:
                     hypothesis.belief.settle(float(np.exp(-self._step_s / HIDDEN_SETTLES_S)))
                 hypothesis.belief.predict(self._step_s)
         self._last_s, self._ever = timestamp_s, True
@@ -143,6 +143,8 @@ class Follower:
         )
         if observation.joints is not None:
             belief.read_joints(observation.joints.ravel(), options.reading_noise_rad)
+        if self._part:
+            return Ask(self.expected(hypothesis), belief.prior, tips, learn=not self.whereabouts.doubted)
         starts = [self.expected(hypothesis)]
         if start is not None:
             starts.append(belief.near(start))
@@ -176,16 +178,17 @@ class Follower:
         lost = missing = bool(best.iou < self.options.lost_iou or share < OUT_OF_VIEW_SHARE)
         confidence = best.iou
         if self._part:
-            off_m = self.tip_sd_m(best)
-            missing = off_m > LOST_M if best.shown < TELLING_SHARE else lost
-            lost = missing or off_m > LOST_M
-            confidence = (best.iou if best.shown >= TELLING_SHARE else 1.0) / (1.0 + (off_m / LOST_M) ** 2)
+            for hypothesis in self.hypotheses:
+                hypothesis.off_m = self._tips_off_m(hypothesis)
+            missing = best.off_m > LOST_M if best.hidden else lost
+            lost = missing or best.off_m > LOST_M
+            confidence = (1.0 if best.hidden else best.iou) / (1.0 + (best.off_m / LOST_M) ** 2)
         self.whereabouts.note(best.state, share, lost=missing, fits=self._fits(best))
         return Estimate(
             best.state, confidence=float(confidence), lost=lost, standard_deviations=self._stated(best.belief)
         )
 
-    def tip_sd_m(self, hypothesis: Hypothesis) -> float:
+    def _tips_off_m(self, hypothesis: Hypothesis) -> float:
         """How far off the tips' centre is believed to be, metres."""
         belief = hypothesis.belief
         states = hypothesis.state + np.concatenate([np.zeros((1, STATE_SIZE)), 0.01 * np.diag(STATE_SCALE)])
@@ -218,8 +221,8 @@ class Follower:
         hypothesis.missed_jaws = self._jaws(fit.state, fit.missed_px, fit.length_px, missed)
         hypothesis.iou = float(self._objective.mismatch(fit.state[None])[1][0])
         if hidden is not None:
-            covered = np.count_nonzero(silhouette)
-            hypothesis.shown = np.count_nonzero(silhouette & ~hidden) / covered if covered else 1.0
+            covered, shown = np.count_nonzero(silhouette), np.count_nonzero(silhouette & ~hidden)
+            hypothesis.hidden = covered > 0 and shown < max(TELLING_SHARE * covered, OUT_OF_VIEW_SHARE * hidden.size)
             if covered and fit.length_px.sum() < TELLING_PX:
                 hypothesis.explained = 1.0
 

@@ -24,7 +24,8 @@ class Hypothesis:
         explained: Share of its contour that has an edge in the mask.
         explained_mask: Share of the mask's edge that has a contour.
         missed_jaws: Share of the jaws that is unexplained, of their own contour.
-        shown: Share of its silhouette that nothing hides, of an arm beside another.
+        hidden: Of an arm beside another: so much of it is hidden that masks tell next to nothing.
+        off_m: Likewise, how far off its tips are believed to be.
     """
 
     belief: MotionBelief
@@ -35,7 +36,8 @@ class Hypothesis:
     explained_mask: float = 1.0
     missed_jaws: float = 0.0
     jump: float = 0.0
-    shown: float = 1.0
+    hidden: bool = False
+    off_m: float = 0.0
 
     @property
     def total(self) -> float:

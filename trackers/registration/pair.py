@@ -50,7 +50,6 @@ class Pair:
         parts = self._cut(observation, np.stack([arm.expected(arm.hypotheses[0]) for arm in arms]))
         asks = []
         for arm, part in zip(arms, parts, strict=True):
-            arm.observe(part)
             asks.append(arm.ask(arm.hypotheses[0], part, part.start))
         fits = self._fit(
             [ask.begin for ask in asks],
@@ -65,12 +64,14 @@ class Pair:
         ]
         parts = self._cut(observation, np.stack([fit.state for fit in fits]))
         answers = []
-        for arm, part, fit, more, before in zip(arms, parts, fits, others, last, strict=True):
+        union = observation.views[0].instance_masks is None
+        lost = [arm.whereabouts.lost for arm in arms]
+        for k, (arm, part, fit, more, before) in enumerate(zip(arms, parts, fits, others, last, strict=True)):
             arm.observe(part)
             for hypothesis, own in zip(arm.hypotheses, [fit, *more], strict=True):
                 arm.take(hypothesis, own, part)
             arm.trace = self.trace
-            arm.look(before, part)
+            arm.look(before, part, alone=not (union and lost[1 - k]))
             answers.append(arm.answer(part))
         return Estimate(
             np.concatenate([answer.state for answer in answers]),

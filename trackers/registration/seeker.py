@@ -70,12 +70,13 @@ class Seeker(Follower):
         self.look(last, observation)
         return self.answer(observation)
 
-    def look(self, last: FloatArray, observation: Observation) -> None:
+    def look(self, last: FloatArray, observation: Observation, *, alone: bool = True) -> None:
         """Look elsewhere, where that is called for.
 
         Args:
             last: ``(9,)`` the last frame's estimate.
             observation: The frame, in which all stories have been followed.
+            alone: Nothing else is in its masks. Where a lost arm may be, edges that do not fit call for nothing.
         """
         options, best = self.options, self.best
         seen = bool(observation.mask.any())
@@ -84,6 +85,8 @@ class Seeker(Follower):
         if self.whereabouts.lost or (self.whereabouts.fresh and not fits):
             if options.samples and share >= OUT_OF_VIEW_SHARE and (not fits or self.whereabouts.unseen):
                 self._recover(best, observation)
+        elif best.hidden or not alone:
+            self._pause = 0
         elif seen and options.samples and not fits:
             if self._pause > 0:
                 self._pause -= 1
@@ -152,7 +155,7 @@ class Seeker(Follower):
             swept = sweep_jaws(centres, scene.joint_limits)
             states = np.concatenate([states, swept])
             moves = np.append(moves, np.full(len(swept), Move.SWEEP))
-        if self._part and self.hypotheses and self.tip_sd_m(self.hypotheses[0]) > HIDDEN_M:
+        if self._part and self.hypotheses and self.hypotheses[0].off_m > HIDDEN_M:
             believed = self.hypotheses[0].belief.draw(BELIEVED, self._rng)
             states = np.concatenate([states, clip_joints(believed, scene.joint_limits)])
             moves = np.append(moves, np.full(BELIEVED, Move.BELIEVED))
