@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from surgbench.contract import Estimate, Observation, Scene
+from surgbench.contract import Estimate, Mask, Observation, Scene
 from surgbench.geometry import FloatArray
 from surgbench.metrics import OUT_OF_VIEW_SHARE
 from surgbench.objective import Objective
@@ -64,6 +64,11 @@ class Ask(NamedTuple):
     prior: Prior
     tips: bool
     learn: bool
+
+
+def share_of(mask: Mask) -> float:
+    """Share of a picture that a mask covers."""
+    return np.count_nonzero(mask) / mask.size
 
 
 class Follower:
@@ -173,7 +178,7 @@ class Follower:
     def answer(self, observation: Observation) -> Estimate:
         """The best story's estimate, once the frame has been followed; what is kept of the others."""
         self._sort()
-        best, share = self.hypotheses[0], float(observation.mask.mean())
+        best, share = self.hypotheses[0], share_of(observation.mask)
         # With next to nothing in the mask the best state is one out of the picture, and that overlaps perfectly.
         lost = missing = bool(best.iou < self.options.lost_iou or share < OUT_OF_VIEW_SHARE)
         confidence = best.iou

@@ -7,11 +7,13 @@ decide.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import cv2
 import numpy as np
 
 from surgbench.camera import Camera
+from surgbench.compiled import compiled
 from surgbench.contract import Mask
 from surgbench.geometry import FloatArray, look_at_rotation
 from surgbench.instrument import Instrument
@@ -20,8 +22,9 @@ from surgbench.state import ANGLES, POSITION
 CELL_PX = 8
 AROUND = 5  # cells to a side, in which it is counted what shows who is in front
 CLEAR = 2.0  # times as many pixels as for the contrary
-CLEAR_M = 0.005  # nearer by as much, which counts as
-CLEAR_PX = 60.0  # so many pixels
+# Nearer by as much counts as so many pixels, by twice as much as four times as many: pixels that the other arm was
+# expected to cover may be missing for being elsewhere.
+CLEAR_M, CLEAR_PX = 0.002, 60.0
 SHAFT_M = np.linspace(0.0, 0.08, 21)  # from the wrist backwards
 
 
@@ -35,7 +38,7 @@ class Order:
 
     def __init__(self, instruments: Sequence[Instrument], camera: Camera) -> None:
         self._instruments, self._camera = tuple(instruments), camera
-        self._cells = -(-camera.width // CELL_PX), -(-camera.height // CELL_PX)
+        self._cells = -(-camera.height // CELL_PX), -(-camera.width // CELL_PX)
 
     def clear(
         self,
@@ -56,35 +59,26 @@ class Order:
         """
         if any(lost) and all(lost):
             return
-        expected = [np.zeros_like(one) if gone else one for one, gone in zip(silhouettes, lost, strict=True)]
-        evidence = [self._count(masks[arm] & expected[1 - arm]) for arm in range(2)]
-        both = evidence[0] + evidence[1]
+        evidence = np.zeros((3, *self._cells))
+        for arm in range(2):
+            if not lost[1 - arm]:
+                _count(masks[arm], silhouettes[1 - arm], evidence[arm])
         if not any(lost):
-            both = both + self._count(silhouettes[0] & silhouettes[1])
-        rows, columns = np.nonzero(both)
-        if len(rows) == 0:
+            _count(silhouettes[0], silhouettes[1], evidence[2])
+        if not evidence.any():
             return
-        counts = np.stack([one[rows, columns] for one in evidence])
+        for one in evidence:
+            one[:] = cv2.boxFilter(one, -1, (AROUND, AROUND), normalize=False, borderType=cv2.BORDER_CONSTANT)
+        rows, columns = np.nonzero(evidence.any(axis=0))
+        counts = evidence[:2, rows, columns]
         if not any(lost):
             centres = (np.stack([columns, rows], axis=1) + 0.5) * CELL_PX
             nearer_m = self._depths_m(1, states[1], centres) - self._depths_m(0, states[0], centres)
-            belief = CLEAR_PX * np.clip(nearer_m / CLEAR_M, -1.0, 1.0)
+            belief = CLEAR_PX * np.sign(nearer_m) * (nearer_m / CLEAR_M) ** 2
             counts += np.maximum(np.stack([belief, -belief]), 0.0)
-        height, width = hides[0].shape
         for arm in range(2):
-            front = np.zeros(self._cells[::-1], np.uint8)
-            front[rows, columns] = counts[arm] > CLEAR * counts[1 - arm]
-            whole = cv2.resize(front, None, fx=CELL_PX, fy=CELL_PX, interpolation=cv2.INTER_NEAREST)
-            hides[1 - arm][whole[:height, :width] > 0] = False
-
-    def _count(self, mask: Mask) -> FloatArray:
-        """Pixels of a mask in and around each cell."""
-        width, height = self._cells
-        picture = np.zeros((height * CELL_PX, width * CELL_PX), np.uint8)
-        picture[: mask.shape[0], : mask.shape[1]] = mask
-        cells = cv2.resize(picture * np.uint8(255), (width, height), interpolation=cv2.INTER_AREA).astype(np.float64)
-        around = cv2.boxFilter(cells, -1, (AROUND, AROUND), normalize=False, borderType=cv2.BORDER_CONSTANT)
-        return np.asarray(around * (CELL_PX**2 / 255.0))
+            front = counts[arm] > CLEAR * counts[1 - arm]
+            _clear(hides[1 - arm], rows[front], columns[front])
 
     def _depths_m(self, arm: int, state: FloatArray, places_px: FloatArray) -> FloatArray:
         """How far away an arm is, at pixels ``(k, 2)`` that it covers: as its axis is where that is nearest."""
@@ -98,3 +92,22 @@ class Order:
         pixels = points[:, :2] / points[:, 2:] * [camera.fx, camera.fy] + [camera.cx, camera.cy]
         nearest = ((places_px[:, None] - pixels) ** 2).sum(axis=2).argmin(axis=1)
         return np.asarray(points[nearest, 2])
+
+
+@compiled
+def _count(one: Any, other: Any, cells: Any) -> None:
+    """Count the pixels of both masks in each cell."""
+    for row in range(one.shape[0]):
+        for column in range(one.shape[1]):
+            if one[row, column] & other[row, column]:
+                cells[row // CELL_PX, column // CELL_PX] += 1.0
+
+
+@compiled
+def _clear(mask: Any, rows: Any, columns: Any) -> None:
+    """Empty a mask in some cells."""
+    for k in range(rows.shape[0]):
+        top, left = rows[k] * CELL_PX, columns[k] * CELL_PX
+        for row in range(top, min(top + CELL_PX, mask.shape[0])):
+            for column in range(left, min(left + CELL_PX, mask.shape[1])):
+                mask[row, column] = False

@@ -15,7 +15,7 @@ from surgbench.trackers.optimisers.cma import CMA
 from surgbench.trackers.optimisers.cma_settings import tutorial_settings
 from surgbench.trackers.registration.arrival import arrivals
 from surgbench.trackers.registration.fit import Fit, Prior
-from surgbench.trackers.registration.follower import ARRIVING, DRAWN, HIDDEN_M, Follower
+from surgbench.trackers.registration.follower import ARRIVING, DRAWN, HIDDEN_M, Follower, share_of
 from surgbench.trackers.registration.hypothesis import SAME, Hypothesis
 from surgbench.trackers.registration.options import HybridOptions
 from surgbench.trackers.registration.proposals import Move, best_of_each, jump_cost, propose, sweep_jaws
@@ -81,7 +81,7 @@ class Seeker(Follower):
         options, best = self.options, self.best
         seen = bool(observation.mask.any())
         fits = self._fits(best)
-        share = float(observation.mask.mean())
+        share = share_of(observation.mask)
         if self.whereabouts.lost or (self.whereabouts.fresh and not fits):
             if options.samples and share >= OUT_OF_VIEW_SHARE and (not fits or self.whereabouts.unseen):
                 self._recover(best, observation)
