@@ -46,7 +46,7 @@ class Cutter:
         camera = scene.views[index].camera
         self._evaluators = [SilhouetteEvaluator([one], camera) for one in scene.instruments]
         self._projector = KeypointProjector(scene.instruments, camera)
-        self._order = Order(scene.instruments, camera)
+        self._order = Order(camera)
         self._mostly = 0.0  # below 0 where masks are the right way round, as a rule
         self.exchanged = False
 

@@ -216,20 +216,25 @@ class JointFit:
         sizes = [len(prior.mean) for prior in known]
         places = [slice(sum(sizes[:k]), sum(sizes[: k + 1])) for k in range(len(sizes))]
         believed = block_diag(*(prior.information for prior in known))
+        parts: list[Sequence[Equations]] = [()] * len(ends)
+        moving = list(range(len(ends)))
         for _ in range(config.iterations):
-            parts = [fit.equations(end, config.spacing_px) for fit, end in zip(self._fits, ends, strict=True)]
+            for k in moving:
+                parts[k] = self._fits[k].equations(ends[k], config.spacing_px)
             information, pull, with_offset, offset_pull, pivot = _together(parts, places, 1.0 / config.offset_px**2)
             pull = pull + np.concatenate(
                 [fit.pull_of(prior, end) for fit, prior, end in zip(self._fits, known, ends, strict=True)]
             )
             step = np.linalg.solve(information + believed, pull)
             offset_px = (offset_pull - with_offset @ step) / pivot
-            longest = 0.0
-            for k, (fit, place) in enumerate(zip(self._fits, places, strict=True)):
-                fit.follow(step[place], offset_px)
-                ends[k], own = fit.moved(ends[k], step[place], parts[k])
-                longest = max(longest, own)
-            if longest < SETTLED:
+            still = list(moving)
+            for k in moving:
+                self._fits[k].follow(step[places[k]], offset_px)
+                ends[k], longest = self._fits[k].moved(ends[k], step[places[k]], parts[k])
+                if longest < SETTLED:  # what the other's steps do to it is less
+                    still.remove(k)
+            moving = still
+            if not moving:
                 break
         for k, (fit, place) in enumerate(zip(self._fits, places, strict=True)):
             rest = np.delete(np.arange(sum(sizes)), place)

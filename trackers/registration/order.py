@@ -16,7 +16,6 @@ from surgbench.camera import Camera
 from surgbench.compiled import compiled
 from surgbench.contract import Mask
 from surgbench.geometry import FloatArray, look_at_rotation
-from surgbench.instrument import Instrument
 from surgbench.state import ANGLES, POSITION
 
 CELL_PX = 8
@@ -25,19 +24,18 @@ CLEAR = 2.0  # times as many pixels as for the contrary
 # Nearer by as much counts as so many pixels, by twice as much as four times as many: pixels that the other arm was
 # expected to cover may be missing for being elsewhere.
 CLEAR_M, CLEAR_PX = 0.002, 60.0
-SHAFT_M = np.linspace(0.0, 0.08, 21)  # from the wrist backwards
+AXIS_M = np.linspace(-0.08, 0.024, 27)  # from the wrist along the shaft
 
 
 class Order:
     """Says where an arm's mask does not hide the other arm, which is in front of it.
 
     Args:
-        instruments: Of both arms.
         camera: Of the view.
     """
 
-    def __init__(self, instruments: Sequence[Instrument], camera: Camera) -> None:
-        self._instruments, self._camera = tuple(instruments), camera
+    def __init__(self, camera: Camera) -> None:
+        self._camera = camera
         self._cells = -(-camera.height // CELL_PX), -(-camera.width // CELL_PX)
 
     def clear(
@@ -73,19 +71,17 @@ class Order:
         counts = evidence[:2, rows, columns]
         if not any(lost):
             centres = (np.stack([columns, rows], axis=1) + 0.5) * CELL_PX
-            nearer_m = self._depths_m(1, states[1], centres) - self._depths_m(0, states[0], centres)
+            nearer_m = self._depths_m(states[1], centres) - self._depths_m(states[0], centres)
             belief = CLEAR_PX * np.sign(nearer_m) * (nearer_m / CLEAR_M) ** 2
             counts += np.maximum(np.stack([belief, -belief]), 0.0)
         for arm in range(2):
             front = counts[arm] > CLEAR * counts[1 - arm]
             _clear(hides[1 - arm], rows[front], columns[front])
 
-    def _depths_m(self, arm: int, state: FloatArray, places_px: FloatArray) -> FloatArray:
+    def _depths_m(self, state: FloatArray, places_px: FloatArray) -> FloatArray:
         """How far away an arm is, at pixels ``(k, 2)`` that it covers: as its axis is where that is nearest."""
-        instrument, camera = self._instruments[arm], self._camera
-        wrist, tip = state[POSITION], instrument.tips_cam(state).mean(axis=0)
-        axis = look_at_rotation(state[ANGLES])[:, 2]
-        points = np.concatenate([wrist - SHAFT_M[:, None] * axis, wrist + (tip - wrist) * [[0.33], [0.67], [1.0]]])
+        camera = self._camera
+        points = state[POSITION] + AXIS_M[:, None] * look_at_rotation(state[ANGLES])[:, 2]
         points = points[points[:, 2] > 0]
         if len(points) == 0:
             return np.full(len(places_px), np.inf)

@@ -62,7 +62,8 @@ class Pair:
             [arm.fitted(arm.ask(hypothesis, part, None), part) for hypothesis in arm.hypotheses[1:]]
             for arm, part in zip(arms, parts, strict=True)
         ]
-        parts = self._cut(observation, np.stack([fit.state for fit in fits]))
+        if observation.views[0].instance_masks is None:  # else what is cut hardly depends on where the arms are
+            parts = self._cut(observation, np.stack([fit.state for fit in fits]))
         answers = []
         union = observation.views[0].instance_masks is None
         lost = [arm.whereabouts.lost for arm in arms]
