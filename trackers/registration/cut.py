@@ -78,8 +78,9 @@ class Cutter:
         self, masks: tuple[Mask, Mask], silhouettes: Sequence[Mask], own: FloatArray, lost: Sequence[bool]
     ) -> list[tuple[Mask, Mask]]:
         """Masks and what is hidden, from a mask of each arm."""
-        # Pixels of each silhouette in each mask.
-        shared = np.array([[np.count_nonzero(one & mask) for mask in masks] for one in silhouettes])
+        # Pixels in each mask of what each silhouette does not share with the other.
+        overlap = silhouettes[0] & silhouettes[1]
+        shared = np.array([[np.count_nonzero(one & mask & ~overlap) for mask in masks] for one in silhouettes])
         sure = ~np.array(lost)
         straight, crossed = shared[sure, np.flatnonzero(sure)].sum(), shared[sure, 1 - np.flatnonzero(sure)].sum()
         if max(straight, crossed) >= FEW_PIXELS and max(straight, crossed) > CLEAR * min(straight, crossed):
@@ -88,7 +89,7 @@ class Cutter:
         else:
             self.exchanged = self._mostly > 0
         if self.exchanged:
-            masks, shared = masks[::-1], shared[:, ::-1]
+            masks = masks[::-1]
         hides = [_grown(mask, MARGIN_PX) for mask in masks]
         self._order.clear(hides, masks, silhouettes, own, lost)
         return [(masks[arm], hides[1 - arm]) for arm in range(2)]
