@@ -57,6 +57,10 @@ class Coordinates(Protocol):
         """Moves ``(count, n)`` of at most one step from ``start`` (``(n,)``) towards each of ``drawn``."""
         ...
 
+    def steps(self, start: FloatArray, ends: FloatArray) -> FloatArray:
+        """How many of the longest steps it takes from ``(n,)`` to ``(count, n)``, ``(count,)``."""
+        ...
+
     def leads(self, segments: FloatArray) -> BoolArray:
         """Which of the ways ``(samples, count, n)`` to a waypoint (their last sample) are feasible, ``(count,)``."""
         ...
@@ -97,6 +101,13 @@ class FreePose:
         length = np.linalg.norm(move[:, POSITION], axis=1, keepdims=True)
         move[:, POSITION] *= np.minimum(1.0, self._longest_m / np.maximum(length, 1e-12))
         return move
+
+    def steps(self, start: FloatArray, ends: FloatArray) -> FloatArray:
+        """See :class:`Coordinates`."""
+        move = ends - start
+        turns = np.abs(move) / self._bounds
+        longest: FloatArray = np.maximum(turns.max(axis=1), np.linalg.norm(move[:, POSITION], axis=1) / self._longest_m)
+        return longest
 
     def leads(self, segments: FloatArray) -> BoolArray:
         """See :class:`Coordinates`. Only the waypoint itself must be in the workspace."""
@@ -155,6 +166,14 @@ class ArmJoints:
         # The roll does not move the wrist.
         move[:, :ROLL] *= np.minimum(1.0, self._longest_m / np.maximum(length, 1e-12))
         return move
+
+    def steps(self, start: FloatArray, ends: FloatArray) -> FloatArray:
+        """See :class:`Coordinates`."""
+        turns = np.abs(ends - start) / self._bounds
+        wrists = self.arm.forward(np.concatenate([start[None], ends])[:, :ARM_JOINTS])[:, :3, 3]
+        ways = np.linalg.norm(wrists[1:] - wrists[0], axis=1)
+        longest: FloatArray = np.maximum(turns.max(axis=1), ways / self._longest_m)
+        return longest
 
     def leads(self, segments: FloatArray) -> BoolArray:
         """See :class:`Coordinates`. All of the way must be in the workspace, with room for the perturbation."""

@@ -7,7 +7,7 @@ generator of its ``task``, the default task unless told.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +39,8 @@ def plan_preset(name_or_path: str | Path, request: GenerationRequest = Generatio
         raise type(error)(f"{path}: {error}") from None
     try:
         plan: GenerationPlan = generator.plan(path, request)
+        if request.set and plan.marker == generator.plan(path, replace(request, set={})).marker:
+            raise ConfigError(f"--set: generator '{generator.name}' takes no settings")
     except SurgbenchError:
         raise
     except Exception as error:  # a stranger's generator
@@ -47,20 +49,24 @@ def plan_preset(name_or_path: str | Path, request: GenerationRequest = Generatio
         raise ConfigError(f"{path}: generator '{generator.name}' gave {type(plan).__name__}, which is no plan")
     # A dataset of a task's usual generator says no more than its preset does.
     usual = [one.source for one in discover("generator").values() if one.cls is not None and one.task == found.task]
-    return plan if usual == [found.source] else NamedPlan(plan, f"{found.source}@{found.hash}")
+    told: dict[str, Any] = {} if usual == [found.source] else {"generator": f"{found.source}@{found.hash}"}
+    if request.set:
+        told["set"] = dict(request.set)
+    return ToldPlan(plan, told) if told else plan
 
 
 @dataclass(frozen=True)
-class NamedPlan:
-    """A plan of a generator that its preset names, which then is a part of the configuration.
+class ToldPlan:
+    """A plan of which the configuration tells more than its generator does.
 
     Attributes:
         plan: The generator's.
-        generator: Where it is from, and the hash of its source: another text makes another dataset.
+        told: ``generator``, where a preset names it: where it is from, and the hash of its source, for another text
+            makes another dataset; and what was ``set``.
     """
 
     plan: GenerationPlan
-    generator: str
+    told: dict[str, Any]
 
     @property
     def name(self) -> str:
@@ -89,13 +95,13 @@ class NamedPlan:
 
     @property
     def marker(self) -> dict[str, Any]:
-        """Effective configuration, with the generator."""
-        return {**self.plan.marker, "generator": self.generator}
+        """Effective configuration, with what is told."""
+        return {**self.plan.marker, **self.told}
 
     def write(self, out: Path, jobs: int, progress: Callable[[float], None]) -> Manifest:
         """Write everything but the manifest."""
         manifest = self.plan.write(out, jobs, progress)
-        return manifest.model_copy(update={"configuration": {**manifest.configuration, "generator": self.generator}})
+        return manifest.model_copy(update={"configuration": {**manifest.configuration, **self.told}})
 
 
 def _generator(preset: dict[str, Any], folder: Path) -> Found:

@@ -10,21 +10,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
 
 from surgbench.camera import Camera
-from surgbench.camera.change_of_view import ChangeOfView
 from surgbench.dataset import tables
 from surgbench.dataset.manifest import FORMAT, observations_path
-from surgbench.dataset.masks import Mask, encode_mask
-from surgbench.dataset.writer import DatasetWriter, collect
+from surgbench.dataset.writer import DatasetWriter, collect, read_part
 from surgbench.errors import ConfigError, unknown_name
-from surgbench.generators.auxiliary import AUXILIARY_CAMERA, ViewTables, camera_of
-from surgbench.generators.corruption import corrupt
-from surgbench.generators.lens import Lens
+from surgbench.generators.auxiliary import AUXILIARY_CAMERA, camera_of
+from surgbench.generators.frames import KINDS, VISIBLE_KINDS, Chunk, FrameWriter, chunk_part
 from surgbench.generators.mismatch import NO_MISMATCH, real_camera, real_instrument
-from surgbench.generators.presets import Corruption, Preset
-from surgbench.generators.render import MaskRenderer
+from surgbench.generators.presets import Preset
 from surgbench.generators.resumable import (
     LISTED_BYTES_PER_FILE,
     blocks,
@@ -33,36 +30,34 @@ from surgbench.generators.resumable import (
     generate,
     in_workers,
 )
-from surgbench.generators.sequence import make_tables
+from surgbench.generators.sequence import SequenceTables, ToldApart, make_tables
 from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument, load_instrument, save_instrument
 from surgbench.instrument.files import INSTRUMENT_FILE
 from surgbench.processes.ending import end_worker_with_parent
-from surgbench.randomness import generator
 from surgbench.tasks.instrument.format import (
     ARMS,
     AUXILIARY_CONVENTION,
     CONVENTIONS,
-    Arm,
+    VISIBILITY_CONVENTION,
     AuxiliaryEntry,
     InstrumentManifest,
-    MaskKind,
     SequenceEntry,
-    clean_mask_path,
     instrument_folder,
-    observed_path,
     poses_path,
     sequence_files,
     states_path,
     view_folder,
+    visibility_path,
 )
+from surgbench.tasks.instrument.tables import SWAPPED, VISIBILITY_COLUMNS
 from surgbench.version import __version__
 
 __all__ = ["Part", "Plan", "generate", "plan_dataset"]
 
 CAMERA_NAME = "endoscope"
-KINDS: tuple[MaskKind, ...] = ("left", "right", "both")
 CHUNK_FRAMES = 20
+VISIBLE_CHUNK_FRAMES = 20
 INSTRUMENTS = "instruments"
 # Of a 1-bit mask's pixels, how many bytes the PNG takes at most, measured with room to spare.
 MASK_BYTES_PER_PIXEL = 0.01
@@ -132,13 +127,15 @@ class Plan:
         yield INSTRUMENTS
         for entry in self.sequences:
             yield entry.id
-            yield from (_chunk_part(entry.id, start) for start in range(0, entry.frames, CHUNK_FRAMES))
+            if entry.visibility:
+                yield _visibility_part(entry.id)
+            yield from (chunk_part(entry.id, start) for start in range(0, entry.frames, CHUNK_FRAMES))
 
     @property
     def disk_bytes(self) -> int:
         """Disk that the whole dataset takes, an upper estimate."""
         camera, auxiliary = self.preset.camera, self.preset.auxiliary
-        mask = blocks(camera.width * camera.height * MASK_BYTES_PER_PIXEL) * 2 * len(KINDS)
+        mask = blocks(camera.width * camera.height * MASK_BYTES_PER_PIXEL) * 2 * len(self.sequences[0].kinds)
         numbers = TABLE_BYTES_PER_FRAME
         if auxiliary is not None:
             pixels, views = auxiliary.camera.width * auxiliary.camera.height, len(auxiliary.views)
@@ -150,24 +147,11 @@ class Plan:
     def write(self, out: Path, jobs: int, progress: Callable[[float], None]) -> InstrumentManifest:
         """Write everything but the manifest; see :class:`surgbench.generators.resumable.Job`."""
         DatasetWriter(out, INSTRUMENTS).write(self.instrument.name, self.instrument_files)
-        return _manifest(self, out, _render_all(self, out, jobs, progress))
-
-
-@dataclass(frozen=True)
-class Chunk:
-    """Frames that one worker renders: consecutive ones of a sequence.
-
-    Attributes:
-        entry: The sequence.
-        start: First frame.
-        states: ``(n, 2, 9)`` true states.
-        views: Auxiliary view and arm to ``(n, 4, 4)`` true T_view_cam.
-    """
-
-    entry: SequenceEntry
-    start: int
-    states: FloatArray
-    views: dict[tuple[str, Arm], FloatArray]
+        sequences, rest = _render_all(self, out, jobs, progress)
+        for entry in sequences:
+            if entry.visibility:
+                _write_visibility(out, entry, rest[entry.id])
+        return _manifest(self, out, sequences)
 
 
 def plan_dataset(preset: Preset, part: Part | None = None) -> Plan:
@@ -194,10 +178,11 @@ def plan_dataset(preset: Preset, part: Part | None = None) -> Plan:
             camera=CAMERA_NAME,
             arms=ARMS,
             instruments=dict.fromkeys(ARMS, instrument.name),
-            kinds=KINDS,
+            kinds=KINDS if preset.instances is None else (*KINDS, *VISIBLE_KINDS),
             keypoints=True,
             readings=True,
             truth=True,
+            visibility=preset.instances is not None,
             auxiliary=dict.fromkeys(views, auxiliary),
         )
         for index in range(preset.pairs)
@@ -248,41 +233,43 @@ def _of_part(sequences: tuple[SequenceEntry, ...], part: Part) -> tuple[Sequence
     )
 
 
-def _render_all(plan: Plan, out: Path, jobs: int, progress: Callable[[float], None]) -> list[SequenceEntry]:
-    """Write everything but the manifest; what is there whole stays.
+def _render_all(
+    plan: Plan, out: Path, jobs: int, progress: Callable[[float], None]
+) -> tuple[list[SequenceEntry], dict[str, ToldApart]]:
+    """Write everything but the manifest and how much is visible; what is there whole stays.
 
     Returns:
-        What the manifest says of the sequences.
+        What the manifest says of the sequences, and how their arms are told apart.
     """
     finished: list[SequenceEntry] = []
+    apart: dict[str, ToldApart] = {}
     if jobs <= 1 and ctrl_c_raises():
-        worker = _Worker(plan, out, threads=None)
-        for chunk in _chunks(plan, out, finished):
+        worker = _frame_writer(plan, out, threads=None)
+        for chunk in _chunks(plan, out, finished, apart):
             worker.render(chunk, progress)
-        return finished
-    in_workers(_chunks(plan, out, finished), _render_chunk, jobs, _start_worker, (plan, out), progress)
-    return finished
+    else:
+        in_workers(_chunks(plan, out, finished, apart), _render_chunk, jobs, _start_worker, (plan, out), progress)
+    return finished, apart
 
 
-def _chunks(plan: Plan, out: Path, finished: list[SequenceEntry]) -> Iterator[Chunk]:
+def _chunks(plan: Plan, out: Path, finished: list[SequenceEntry], apart: dict[str, ToldApart]) -> Iterator[Chunk]:
     """Write each sequence's tables and yield its frames; ``finished`` gets its part of the manifest."""
     for planned in plan.sequences:
-        entry, states, views = _write_tables(plan, out, planned)
+        entry, made = _write_tables(plan, out, planned)
         finished.append(entry)
+        if made.apart is not None:
+            apart[entry.id] = made.apart
         for start in range(0, entry.frames, CHUNK_FRAMES):
             part = slice(start, start + CHUNK_FRAMES)
-            poses = {(name, arm): view.T_view_cam[arm][part] for name, view in views.items() for arm in ARMS}
-            yield Chunk(entry, start, states[part], poses)
+            poses = {(name, arm): view.T_view_cam[arm][part] for name, view in made.views.items() for arm in ARMS}
+            yield Chunk(entry, start, made.states[part], poses, made.apart)
 
 
-def _write_tables(
-    plan: Plan, out: Path, entry: SequenceEntry
-) -> tuple[SequenceEntry, FloatArray, dict[str, ViewTables]]:
+def _write_tables(plan: Plan, out: Path, entry: SequenceEntry) -> tuple[SequenceEntry, SequenceTables]:
     """Write a sequence's observations, states, and poses of auxiliary views.
 
     Returns:
-        Its part of the manifest, now with the places of the arms' bases, its ``(frames, 2, 9)`` states, and its
-        auxiliary views.
+        Its part of the manifest, now with the places of the arms' bases, and what was made of it.
     """
     # Of the whole sequence, also where a part of it is made: what moves or errs slowly depends on its length.
     whole = entry.model_copy(update={"frames": plan.preset.frames})
@@ -293,76 +280,35 @@ def _write_tables(
         contents |= {observations_path(folder): view.observed, poses_path(folder): view.truth}
     files = {path: tables.encode_table(columns) for path, columns in contents.items()}
     DatasetWriter(out, entry.id).write("tables", files)
-    return entry.model_copy(update={"T_cam_base": made.T_cam_base}), made.states, made.views
+    return entry.model_copy(update={"T_cam_base": made.T_cam_base}), made
 
 
-class _Worker:
-    """Renders and corrupts frames; one Mitsuba scene per camera and arm, kept over all frames.
-
-    Args:
-        plan: The job.
-        out: The dataset's folder.
-        threads: Of Mitsuba; ``None`` leaves them as they are.
-        stop: Once true, no further frame is rendered.
-    """
-
-    def __init__(self, plan: Plan, out: Path, threads: int | None, stop: ctypes.c_bool | None = None) -> None:
-        self.seed = plan.preset.seed
-        self.settings: Corruption = plan.preset.corruption
-        self.out = out
-        self._stop = stop
-        self._lens = Lens(plan.real_camera)
-        self._renderers = {arm: MaskRenderer([plan.real_instrument], self._lens.pinhole, threads) for arm in ARMS}
-        self._auxiliary = [
-            MaskRenderer([plan.real_instrument], camera, threads) for camera in camera_of(plan.preset).values()
-        ]
-
-    def render(self, chunk: Chunk, progress: Callable[[float], None] = lambda frames: None) -> int:
-        """Write a chunk's masks, those that are not there; returns its number of frames."""
-        sequence = chunk.entry.id
-        writer = DatasetWriter(self.out, _chunk_part(sequence, chunk.start))
-        for offset, states in enumerate(chunk.states):
-            if self._stop is not None and self._stop.value:
-                return offset
-            frame = chunk.start + offset
-            if writer.done(str(frame)) is None:
-                files = self._frame(sequence, frame, states)
-                for (view, arm), poses in chunk.views.items():
-                    own = ChangeOfView(poses[offset]).states(states[ARMS.index(arm)])
-                    files |= self._auxiliary_frame(sequence, view, frame, arm, own)
-                writer.write(str(frame), files)
-            progress(1)
-        return len(chunk.states)
-
-    def _frame(self, sequence: str, frame: int, states: FloatArray) -> dict[str, bytes]:
-        masks: dict[str, Mask] = {
-            arm: self._lens.see(self._renderers[arm].mask(states[index])) for index, arm in enumerate(ARMS)
-        }
-        # A ray meets one of the two if it meets either, so that the union needs no rendering of its own.
-        masks["both"] = masks["left"] | masks["right"]
-        files: dict[str, bytes] = {}
-        for kind in KINDS:
-            rng = generator(dataset=self.seed, sequence=sequence, frame=frame, kind=kind, purpose="corruption")
-            files[clean_mask_path(sequence, kind, frame)] = encode_mask(masks[kind])
-            files[observed_path(sequence, kind, frame)] = encode_mask(corrupt(masks[kind], self.settings, rng))
-        return files
-
-    def _auxiliary_frame(self, sequence: str, view: str, frame: int, arm: Arm, state: FloatArray) -> dict[str, bytes]:
-        mask = self._auxiliary[0].mask(state)
-        folder = view_folder(sequence, view)
-        axes: dict[str, str | int] = {"sequence": sequence, "view": view, "frame": frame, "kind": arm}
-        rng = generator(dataset=self.seed, **axes, purpose="corruption")
-        return {
-            clean_mask_path(folder, arm, frame): encode_mask(mask),
-            observed_path(folder, arm, frame): encode_mask(corrupt(mask, self.settings, rng)),
-        }
+def _write_visibility(out: Path, entry: SequenceEntry, apart: ToldApart) -> None:
+    """Write how much of each arm is seen, which was noted beside the frames' masks."""
+    noted: dict[str, Any] = {}
+    for start in range(0, entry.frames, CHUNK_FRAMES):
+        noted |= {key: one.about for key, one in read_part(out, chunk_part(entry.id, start)).items()}
+    columns: dict[str, FloatArray] = {}
+    for arm in ARMS:
+        for name in VISIBILITY_COLUMNS:
+            if name != SWAPPED:
+                shares = [noted[str(frame)][arm][name] for frame in range(entry.frames)]
+                columns[f"{arm}_{name}"] = np.array(shares, dtype=np.float64)  # None becomes NaN
+            else:
+                columns[f"{arm}_{name}"] = apart.swapped[: entry.frames].astype(np.float64)
+    path = visibility_path(entry.id)
+    DatasetWriter(out, _visibility_part(entry.id)).write("table", {path: tables.encode_table(columns)})
 
 
-def _chunk_part(sequence: str, start: int) -> str:
-    return f"{sequence}-{start:06d}"
+def _frame_writer(plan: Plan, out: Path, threads: int | None, stop: ctypes.c_bool | None = None) -> FrameWriter:
+    return FrameWriter(plan.preset, plan.real_instrument, plan.real_camera, out, threads, stop)
 
 
-_worker: _Worker | None = None
+def _visibility_part(sequence: str) -> str:
+    return f"{sequence}-visibility"
+
+
+_worker: FrameWriter | None = None
 
 
 def _start_worker(plan: Plan, out: Path, stop: ctypes.c_bool) -> None:
@@ -375,7 +321,7 @@ def _start_worker(plan: Plan, out: Path, stop: ctypes.c_bool) -> None:
     """
     global _worker
     end_worker_with_parent()
-    _worker = _Worker(plan, out, threads=1, stop=stop)
+    _worker = _frame_writer(plan, out, threads=1, stop=stop)
 
 
 def _render_chunk(chunk: Chunk) -> int:
@@ -391,7 +337,9 @@ def _manifest(plan: Plan, out: Path, sequences: list[SequenceEntry]) -> Instrume
         origin="generated",
         seed=plan.preset.seed,
         configuration=configuration(plan),
-        conventions=CONVENTIONS if plan.preset.auxiliary is None else CONVENTIONS | AUXILIARY_CONVENTION,
+        conventions=CONVENTIONS
+        | ({} if plan.preset.auxiliary is None else AUXILIARY_CONVENTION)
+        | ({} if plan.preset.instances is None else VISIBILITY_CONVENTION),
         cameras={CAMERA_NAME: plan.preset.camera, **camera_of(plan.preset)},
         instruments={name: f"{instrument_folder(name)}/instrument.yaml"},
         sequences=tuple(sequences),

@@ -31,6 +31,7 @@ class MaskSequences(Plugin):
             frames=request.frames,
             seed=request.seed,
             corruption=request.corruption,
+            settings=request.set,
         )
         plan: GenerationPlan = plan_dataset(loaded, None if request.part is None else Part(*request.part))
         return plan

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from surgbench.camera import Camera
 from surgbench.generators.presets import Keypoints, Readings
@@ -40,7 +41,12 @@ class Kinematic:
 
 
 def observe_keypoints(
-    states: FloatArray, instrument: Instrument, camera: Camera, settings: Keypoints, rng: np.random.Generator
+    states: FloatArray,
+    instrument: Instrument,
+    camera: Camera,
+    settings: Keypoints,
+    rng: np.random.Generator,
+    hidden: NDArray[np.bool_] | None = None,
 ) -> FloatArray:
     """Tip keypoints of one arm with noise and drop-outs.
 
@@ -50,14 +56,17 @@ def observe_keypoints(
         camera: Intrinsics and distortion.
         settings: Noise and drop-outs.
         rng: The only source of randomness.
+        hidden: ``(frames, 2)`` tips that something hides; none unless told.
 
     Returns:
-        ``(frames, 2, 2)`` pixels (u, v), the two tips in random order; NaN where one dropped out or is outside the
-        image.
+        ``(frames, 2, 2)`` pixels (u, v), the two tips in random order; NaN where one dropped out, is hidden, or is
+        outside the image.
     """
     tips = camera.see(instrument.tips_cam(states))
     seen: FloatArray = tips + settings.noise_px * rng.standard_normal(tips.shape)
     lost = ~camera.contains(seen) | (rng.random(seen.shape[:2]) < settings.dropout)
+    if hidden is not None:
+        lost |= hidden
     seen[lost] = np.nan
     swapped = rng.random(len(seen)) < 0.5
     seen[swapped] = seen[swapped][:, ::-1]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -12,7 +13,18 @@ from surgbench.camera import Camera
 from surgbench.camera.plausible import implausible
 from surgbench.config import SUFFIXES, Finite, NotNegative, Positive, Section, locate, parse_model, read_yaml
 from surgbench.errors import ConfigError, unknown_name
-from surgbench.generators.sections import Absences, Auxiliary, Correlation, Fraction, Kinematics, Mismatch
+from surgbench.generation import with_settings
+from surgbench.generators.sections import (
+    Absences,
+    Auxiliary,
+    Correlation,
+    Crossing,
+    Fraction,
+    Instances,
+    Kinematics,
+    Mismatch,
+    Occluders,
+)
 
 Range = tuple[Finite, Finite]
 
@@ -73,6 +85,7 @@ class Motion(Section):
             al. (CHI 2012) at rest, which is exponential smoothing; it runs forwards.
         lowpass_cutoff_hz: Cutoff of the smoothing.
         absences: How the instruments leave the picture and come back; not at all unless told. Free motion only.
+        crossing: How the arms cross; unless told, they do as it happens.
     """
 
     kind: Literal["free", "rcm"] = "free"
@@ -87,6 +100,7 @@ class Motion(Section):
     smoothing: Literal["butterworth", "one-euro"] = "butterworth"
     lowpass_cutoff_hz: Positive = 3.0
     absences: Absences | None = None
+    crossing: Crossing | None = None
 
     @model_validator(mode="after")
     def _free(self) -> Motion:
@@ -97,7 +111,7 @@ class Motion(Section):
     @model_serializer(mode="wrap")
     def _without_what_is_not_there(self, serialise: SerializerFunctionWrapHandler) -> dict[str, Any]:
         # So that the hash of a dataset that does without does not know of them.
-        return _less(serialise(self), fast_max_step=None, smoothing="butterworth", absences=None)
+        return _less(serialise(self), fast_max_step=None, smoothing="butterworth", absences=None, crossing=None)
 
     def longest_step(self, half: Half) -> MaxStep:
         """Bounds of the steps between waypoints in this half of the pairs."""
@@ -267,6 +281,8 @@ class Readings(Section):
 # The left camera of SurgPose at half size, as the paper's code uses it.
 PAPER_CAMERA = Camera(width=700, height=493, fx=905.955, fy=904.820, cx=294.280, cy=238.699)
 
+NO_OCCLUDERS = Occluders()
+
 
 class Preset(Section):
     """A whole preset; the defaults are those of ``paper-wide``.
@@ -287,6 +303,8 @@ class Preset(Section):
         kinematics: Errors of the robot's reading of its tool pose.
         mismatch: How the real camera and instrument differ from those that are declared; not at all unless told.
         auxiliary: Further cameras; none unless told.
+        instances: Masks of what is seen of each arm, and how much that is; none unless told.
+        occluders: What else is in the way; nothing unless told.
     """
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
@@ -304,6 +322,8 @@ class Preset(Section):
     kinematics: Kinematics = Kinematics()
     mismatch: Mismatch = Mismatch()
     auxiliary: Auxiliary | None = None
+    instances: Instances | None = None
+    occluders: Occluders = NO_OCCLUDERS
 
     def half(self, index: int) -> Half:
         """Which half of the pairs a pair is in: the last ones, ``fast_share`` of all, have the fast waypoints."""
@@ -311,7 +331,7 @@ class Preset(Section):
 
     @model_serializer(mode="wrap")
     def _without_what_is_not_there(self, serialise: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        return _less(serialise(self), auxiliary=None)
+        return _less(serialise(self), auxiliary=None, instances=None, occluders=NO_OCCLUDERS.model_dump())
 
     @model_validator(mode="after")
     def _possible(self) -> Preset:
@@ -319,6 +339,8 @@ class Preset(Section):
             raise ValueError("camera.distortion must be left out or zero: a lens is in mismatch.distortion")
         if problem := implausible(self.camera):
             raise ValueError(f"camera.{problem}")
+        if self.occluders != NO_OCCLUDERS and self.instances is None:
+            raise ValueError("occluders needs the section instances, which says how much of the arms is seen")
         if self.motion.lowpass_cutoff_hz >= 0.5 / self.dt_s:
             raise ValueError(f"motion.lowpass_cutoff_hz must be below half the frame rate, {0.5 / self.dt_s:g}")
         return self
@@ -341,6 +363,7 @@ def load_preset(
     frames: int | None = None,
     seed: int | None = None,
     corruption: str | None = None,
+    settings: Mapping[str, Any] | None = None,
 ) -> Preset:
     """Load a preset and put the given options over it.
 
@@ -350,6 +373,7 @@ def load_preset(
         frames: Overrides the file's.
         seed: Overrides the file's.
         corruption: Level that overrides the file's settings.
+        settings: Keys of the preset and their values, which override the file's.
 
     Raises:
         NotFoundError: No built-in preset has this name.
@@ -364,6 +388,8 @@ def load_preset(
     preset = _parse({key: value for key, value in content.items() if key not in ("task", "generator")}, str(path))
     if "/" in preset.instrument or preset.instrument.lower().endswith(SUFFIXES):
         preset = preset.model_copy(update={"instrument": str(path.parent.absolute() / preset.instrument)})
+    if settings:
+        preset = _with_settings(preset, settings)
     if not given:
         return preset
     names = {"pairs": "--sequences"}
@@ -374,3 +400,10 @@ def load_preset(
         except ConfigError as error:
             raise ConfigError(str(error).replace(f"'{key}': ", "", 1)) from None
     return _parse({**preset.model_dump(mode="json"), **given}, str(path))
+
+
+def _with_settings(preset: Preset, settings: Mapping[str, Any]) -> Preset:
+    content = with_settings(preset.model_dump(mode="json"), settings)
+    if "corruption.level" not in settings and any(key.startswith("corruption.") for key in settings):
+        content["corruption"]["level"] = "custom"
+    return _parse(content, "--set")

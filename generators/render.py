@@ -62,6 +62,21 @@ class MaskRenderer:
         Returns:
             ``(height, width)`` bool: the pixels whose centre's ray meets an instrument.
         """
+        mask: Mask = self.distance(states) > 0
+        return mask
+
+    def distance(self, states: FloatArray, window: tuple[int, int, int, int] | None = None) -> NDArray[np.float32]:
+        """Render one frame.
+
+        Args:
+            states: ``(9 * instruments,)`` or ``(instruments, 9)``.
+            window: First row, row after the last, first column and column after the last that are wanted; all unless
+                told.
+
+        Returns:
+            ``(height, width)``: how far along the ray through a pixel's centre the nearest surface is, in units of that
+            ray's own, the same for all states; 0 where there is none.
+        """
         mi = self._mi
         if mi.variant() != VARIANT:
             mi.set_variant(VARIANT)
@@ -75,20 +90,24 @@ class MaskRenderer:
                 boxes.append(visible_box(vertices, mesh.faces, self._edges[arm, name], self.camera))
                 transform[1] *= self.camera.fy / self.camera.fx
                 self._parameters[f"place_{arm}_{name}.to_world"] = mi.Transform4f(transform)
-        mask: Mask = np.zeros((self.camera.height, self.camera.width), dtype=bool)
+        distance = np.zeros((self.camera.height, self.camera.width), dtype=np.float32)
         low = np.min([box[0] for box in boxes], axis=0) - BOX_MARGIN_PX
         high = np.max([box[1] for box in boxes], axis=0) + BOX_MARGIN_PX
         if not (low < high).all():
-            return mask
+            return distance
         left, top = (int(value) for value in np.maximum(np.floor(low), 0))
         right = min(int(np.ceil(high[0])) + 1, self.camera.width)
         bottom = min(int(np.ceil(high[1])) + 1, self.camera.height)
+        if window is not None:
+            top, bottom = max(top, window[0]), min(bottom, window[1])
+            left, right = max(left, window[2]), min(right, window[3])
+            if top >= bottom or left >= right:
+                return distance
         self._parameters["sensor.film.crop_offset"] = mi.Point2u(left, top)
         self._parameters["sensor.film.crop_size"] = mi.Vector2u(right - left, bottom - top)
         self._parameters.update()
-        depth = np.asarray(mi.render(self._scene, spp=1))
-        mask[top:bottom, left:right] = depth[..., 0] > 0
-        return mask
+        distance[top:bottom, left:right] = np.asarray(mi.render(self._scene, spp=1))[..., 0]
+        return distance
 
     def _describe(self) -> dict[str, Any]:
         scene: dict[str, Any] = {"type": "scene", **depth_view(self._mi, self.camera)}

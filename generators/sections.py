@@ -54,6 +54,73 @@ class Kinematics(Section):
 Frames = Annotated[int, Field(ge=1)]
 
 
+def _few_to_most(section: Section, *names: str) -> None:
+    for name in names:
+        low, high = getattr(section, name)
+        if low > high:
+            raise ValueError(f"{name} must be [fewest, most] with fewest <= most")
+
+
+class Instances(Section):
+    """What is seen of each arm besides what each arm is: masks of visible parts, and how much is visible.
+
+    Attributes:
+        swap_rate: Share of the frames in which the observed masks of the two arms are exchanged, as a segmentation
+            confuses them; in the mean over many frames.
+        swap_frames: For how many frames in a row, ``[fewest, most]``, drawn evenly.
+    """
+
+    swap_rate: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    swap_frames: tuple[Frames, Frames] = (1, 15)
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Instances:
+        _few_to_most(self, "swap_frames")
+        return self
+
+
+class Occluders(Section):
+    """What else is in the way, each with a level from 0 (not at all) to 1.
+
+    Attributes:
+        tissue: A smooth blob in front of the arms that moves slowly. The level is the share of their ends (wrist, jaws
+            and 3 cm of the shaft, as far as they are in the picture) that it hides, in the mean over a sequence.
+        dropout: Spots of smoke and blood on the arms' ends, where a segmentation sees nothing; each grows and fades.
+            The level is that share again.
+        outside: Each arm is drawn back along its shaft, most of the time, until that share of wrist and jaws is out of
+            the picture.
+        third_tool: A third instrument, nearer to the camera, that nobody tracks. The level is the share of the frames
+            in which it is in the picture. Its mask is part of that of both arms, and in each of its visits of one
+            arm's or of none.
+    """
+
+    tissue: Fraction = 0.0
+    dropout: Fraction = 0.0
+    outside: Fraction = 0.0
+    third_tool: Fraction = 0.0
+
+
+class Crossing(Section):
+    """How the arms cross in the picture, one before the other: both come, stay for a while, and part again.
+
+    Attributes:
+        share: Of the frames, in which the arms overlap in the picture.
+        full: Of the crossings, in which wrist and jaws of the arm behind are to be hidden all but wholly; at the others
+            the arm behind is crossed by the other's shaft or jaws.
+        stay_frames: For how many frames they stay crossed, ``[fewest, most]``, drawn evenly; the ways there and back
+            take more.
+    """
+
+    share: Annotated[float, Field(gt=0, le=0.9)] = 0.6
+    full: Fraction = 0.75
+    stay_frames: tuple[Frames, Frames] = (5, 60)
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Crossing:
+        _few_to_most(self, "stay_frames")
+        return self
+
+
 class Absences(Section):
     """How an instrument is drawn back along its shaft until nothing of it shows, and put in again.
 
@@ -71,10 +138,7 @@ class Absences(Section):
 
     @model_validator(mode="after")
     def _ordered(self) -> Absences:
-        for name in type(self).model_fields:
-            low, high = getattr(self, name)
-            if low > high:
-                raise ValueError(f"{name} must be [fewest, most] with fewest <= most")
+        _few_to_most(self, *type(self).model_fields)
         return self
 
 

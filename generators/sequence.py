@@ -5,12 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from surgbench.camera import Camera
 from surgbench.dataset import tables
 from surgbench.generators.auxiliary import ViewTables, make_views
+from surgbench.generators.instances import swapped_frames
 from surgbench.generators.observations import observe_arm, observe_free_tool, observe_joints, observe_keypoints
+from surgbench.generators.occluders import InTheWay, put_in_the_way
 from surgbench.generators.presets import Preset
+from surgbench.generators.seen_tips import seen_tips
 from surgbench.generators.trajectories import make_motion
 from surgbench.geometry import FloatArray, rotation_vector
 from surgbench.instrument import Instrument
@@ -26,6 +30,19 @@ from surgbench.tasks.instrument.tables import (
 
 
 @dataclass(frozen=True)
+class ToldApart:
+    """How the arms of a sequence are told apart.
+
+    Attributes:
+        swapped: ``(frames,)`` where the observed masks of the arms are exchanged.
+        in_the_way: What hides them besides each other.
+    """
+
+    swapped: NDArray[np.bool_]
+    in_the_way: InTheWay
+
+
+@dataclass(frozen=True)
 class SequenceTables:
     """Tables of a sequence.
 
@@ -35,6 +52,7 @@ class SequenceTables:
         truth: Columns of ``states.parquet``.
         T_cam_base: Nominal place of each arm's base, ``(4, 4)`` row by row.
         views: Those of the auxiliary views.
+        apart: Of the whole sequence; ``None`` where the preset tells no arms apart.
     """
 
     states: FloatArray
@@ -42,13 +60,14 @@ class SequenceTables:
     truth: dict[str, FloatArray]
     T_cam_base: dict[Arm, tuple[float, ...]]
     views: dict[str, ViewTables]
+    apart: ToldApart | None = None
 
     def first(self, frames: int) -> SequenceTables:
         """The same of the first frames alone."""
         observed = {name: values[:frames] for name, values in self.observed.items()}
         truth = {name: values[:frames] for name, values in self.truth.items()}
         views = {name: view.first(frames) for name, view in self.views.items()}
-        return SequenceTables(self.states[:frames], observed, truth, self.T_cam_base, views)
+        return SequenceTables(self.states[:frames], observed, truth, self.T_cam_base, views, self.apart)
 
 
 def make_tables(preset: Preset, entry: SequenceEntry, instrument: Instrument, camera: Camera) -> SequenceTables:
@@ -70,14 +89,20 @@ def make_tables(preset: Preset, entry: SequenceEntry, instrument: Instrument, ca
     motion = make_motion(
         seen_by, instrument, preset.half(int(entry.id)), frames, generator(**axes, purpose="trajectory")
     )
+    apart, hidden = None, None
+    if preset.instances is not None:
+        swapped = swapped_frames(preset.instances, frames, generator(**axes, purpose="swaps"))
+        hiding = put_in_the_way(preset.occluders, motion.states, instrument, camera, entry.dt_s, **axes)
+        apart = ToldApart(swapped, hiding)
+        hidden = ~seen_tips(motion.states, instrument, camera, hiding)
     observed: dict[str, FloatArray] = {tables.TIMESTAMP: np.arange(frames, dtype=np.float64) * entry.dt_s}
     truth: dict[str, FloatArray] = {}
     bases: dict[Arm, tuple[float, ...]] = {}
     for index, arm in enumerate(entry.arms):
         own, robot = motion.states[:, index], motion.arms[index]
-        points = observe_keypoints(
-            own, instrument, camera, preset.keypoints, generator(**axes, arm=arm, purpose="keypoints")
-        )
+        rng = generator(**axes, arm=arm, purpose="keypoints")
+        own_hidden = None if hidden is None else hidden[:, index]
+        points = observe_keypoints(own, instrument, camera, preset.keypoints, rng, own_hidden)
         readings = observe_joints(own, preset.readings, entry.dt_s, generator(**axes, arm=arm, purpose="readings"))
         rng = generator(**axes, arm=arm, purpose="kinematics")
         if robot is None:
@@ -91,7 +116,7 @@ def make_tables(preset: Preset, entry: SequenceEntry, instrument: Instrument, ca
         bases[arm] = tuple(tool.T_cam_base.ravel().tolist())
         truth |= _columns(arm, STATE_COLUMNS, own)
     views = make_views(preset, entry.id, motion.states, instrument)
-    return SequenceTables(motion.states, observed, truth, bases, views).first(entry.frames)
+    return SequenceTables(motion.states, observed, truth, bases, views, apart).first(entry.frames)
 
 
 def _columns(arm: Arm, names: tuple[str, ...], values: FloatArray) -> dict[str, FloatArray]:

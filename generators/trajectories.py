@@ -6,6 +6,7 @@ recordings.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,11 +16,13 @@ from scipy.signal import butter, lfilter, sosfiltfilt
 from surgbench.errors import ConfigError
 from surgbench.generators.absences import with_absences
 from surgbench.generators.coordinates import TOOL_JOINTS, ArmJoints, Coordinates, FreePose, set_up_arm
+from surgbench.generators.crossings import Pair, crossing_path
+from surgbench.generators.occluders import drawn_back_by, drawn_outside
 from surgbench.generators.place import Place, clearance_m
 from surgbench.generators.presets import Half, Motion, Preset
 from surgbench.geometry import FloatArray, wrap_angle
 from surgbench.instrument import Instrument
-from surgbench.instrument.arm import ARM_JOINTS, Manipulator
+from surgbench.instrument.arm import ARM_JOINTS, INSERTION, Manipulator
 from surgbench.state import BETA, GAMMA
 from surgbench.tasks.instrument.format import ARMS
 
@@ -87,16 +90,13 @@ def make_motion(
     """
     places = [Place(arm, preset.workspace, preset.camera, instrument) for arm in ARMS]
     interval = getattr(preset.motion.waypoint_interval, half)
+    # Beside the main stream: what arms are drawn back does not change how they move.
+    aside = rng.spawn(1)[0]
     for _ in range(PATHS):
-        left = _coordinates(places[0], preset, half, rng)
-        left_path = left and _path(left, preset, interval, frames, rng, other=None)
-        if left is None or left_path is None:
+        found = _smooth(places, preset, half, interval, frames, rng)
+        if found is None:
             continue
-        right = _coordinates(places[1], preset, half, rng)
-        right_path = right and _path(right, preset, interval, frames, rng, other=left.states(_sampled(left_path)))
-        if right is None or right_path is None:
-            continue
-        smooth = np.stack([_interpolate(path, interval, frames) for path in (left_path, right_path)], axis=1)
+        left, right, smooth = found
         for _ in range(PERTURBATIONS_PER_PATH):
             values = _perturb(smooth, left.sigma, preset, instrument, rng)
             fits = all(one.allows(values[:, index]) for index, one in enumerate((left, right)))
@@ -110,11 +110,50 @@ def make_motion(
                     if drawn_back is None:
                         continue
                     states = drawn_back
-                return PairMotion(states, (_moved(left, values[:, 0]), _moved(right, values[:, 1])))
+                back = None
+                if preset.occluders.outside:
+                    back = drawn_outside(preset.occluders.outside, places, states, aside)
+                    if back is None:
+                        continue
+                    states = drawn_back_by(states, back)
+                return PairMotion(states, (_moved(left, values, 0, back), _moved(right, values, 1, back)))
     raise ConfigError(
         f"preset '{preset.name}': no feasible {half} trajectory of {frames} frames was found; "
         "widen workspace or lessen motion (workspace.reach, workspace.tip_margin, motion.max_step)"
     )
+
+
+def _smooth(
+    places: Sequence[Place], preset: Preset, half: Half, interval: int, frames: int, rng: np.random.Generator
+) -> tuple[FreePose | ArmJoints, FreePose | ArmJoints, FloatArray] | None:
+    """Coordinates of both arms and a way in them, ``(frames, 2, n)``, not perturbed yet; ``None`` if none was found."""
+    left = _coordinates(places[0], preset, half, rng)
+    if left is None:
+        return None
+    if preset.motion.crossing is not None:
+        right = _coordinates(places[1], preset, half, rng)
+        if right is None:
+            return None
+        pair = Pair([left, right], _gap_m(preset))
+        crossed = crossing_path(pair, preset.motion.crossing, interval, frames, rng)
+        return None if crossed is None else (left, right, crossed)
+    left_path = _path(left, preset, interval, frames, rng, other=None)
+    if left_path is None:
+        return None
+    right = _coordinates(places[1], preset, half, rng)
+    if right is None:
+        return None
+    right_path = _path(right, preset, interval, frames, rng, other=left.states(_sampled(left_path)))
+    if right_path is None:
+        return None
+    smooth = np.stack([_interpolate(path, interval, frames) for path in (left_path, right_path)], axis=1)
+    return left, right, smooth
+
+
+def _gap_m(preset: Preset) -> float:
+    """How far arms are kept apart before the perturbation, which moves both."""
+    gap_m: float = preset.workspace.clearance_m + 3.0 * preset.motion.ou_sigma_position_m
+    return gap_m
 
 
 def _coordinates(place: Place, preset: Preset, half: Half, rng: np.random.Generator) -> FreePose | ArmJoints | None:
@@ -122,10 +161,16 @@ def _coordinates(place: Place, preset: Preset, half: Half, rng: np.random.Genera
     return FreePose(place, motion, half) if motion.kind == "free" else set_up_arm(place, motion, half, rng)
 
 
-def _moved(coordinates: FreePose | ArmJoints, values: FloatArray) -> ArmMotion | None:
+def _moved(
+    coordinates: FreePose | ArmJoints, values: FloatArray, index: int, back_m: FloatArray | None
+) -> ArmMotion | None:
     if not isinstance(coordinates, ArmJoints):
         return None
-    return ArmMotion(coordinates.arm, coordinates.T_cam_base, values[:, :ARM_JOINTS])
+    joints = values[:, index, :ARM_JOINTS]
+    if back_m is not None:
+        joints = joints.copy()
+        joints[:, INSERTION] -= back_m[:, index]
+    return ArmMotion(coordinates.arm, coordinates.T_cam_base, joints)
 
 
 def _blend(share: FloatArray) -> FloatArray:
@@ -148,8 +193,7 @@ def _path(
     """
     count = max(2, -(-(frames - 1) // interval) + 1)
     instrument = coordinates.place.instrument
-    # The perturbation moves both arms; keep that much more apart.
-    gap_m = preset.workspace.clearance_m + 3.0 * preset.motion.ou_sigma_position_m
+    gap_m = _gap_m(preset)
     path: list[FloatArray] = []
     failures = 0
     while len(path) < count:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, ClassVar
 
 from surgbench.config import locate, parse_model, read_yaml
 from surgbench.contract import Plugin
 from surgbench.errors import ConfigError, unknown_name
-from surgbench.generation import GenerationPlan, GenerationRequest
+from surgbench.generation import GenerationPlan, GenerationRequest, with_settings
 from surgbench.generators.wire_chaser.job import WirePlan
 from surgbench.generators.wire_chaser.presets import WireChaser
 
@@ -29,7 +30,9 @@ class WireChasers(Plugin):
         """
         if request.corruption is not None:
             raise ConfigError(f"--corruption: '{preset}' is of the viewpoint task, which has no masks")
-        loaded = load_wire_chaser(preset, trials=request.sequences, samples=request.frames, seed=request.seed)
+        loaded = load_wire_chaser(
+            preset, trials=request.sequences, samples=request.frames, seed=request.seed, settings=request.set
+        )
         if request.part is not None:
             ids = list(WirePlan(loaded).samples)
             for wanted in request.part[0]:
@@ -41,12 +44,20 @@ class WireChasers(Plugin):
 
 
 def load_wire_chaser(
-    name_or_path: str | Path, *, trials: int | None = None, samples: int | None = None, seed: int | None = None
+    name_or_path: str | Path,
+    *,
+    trials: int | None = None,
+    samples: int | None = None,
+    seed: int | None = None,
+    settings: Mapping[str, Any] | None = None,
 ) -> WireChaser:
     """Load a preset of the viewpoint task and put the given options over it; errors as :meth:`WireChasers.plan`'s."""
     path = locate("presets", "preset", name_or_path)
     content = {key: value for key, value in read_yaml(path, "preset").items() if key != "generator"}
     preset = parse_model(WireChaser, content, str(path))
+    if settings:
+        content = with_settings(preset.model_dump(mode="json"), settings)
+        preset = parse_model(WireChaser, content, "--set")
     options = (("trials", "--sequences", trials), ("samples", "--frames", samples), ("seed", "--seed", seed))
     given: dict[str, Any] = {}
     for key, option, value in options:

@@ -27,18 +27,28 @@ def generate(
         str | None,
         typer.Option(metavar="published|strong|none", help="How the masks are corrupted, instead of the preset's."),
     ] = None,
+    set_: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            metavar="KEY=VALUE",
+            help="Any key of the preset, for example occluders.tissue=0.4 or instances.swap_rate=0.05; may be "
+            "repeated. The dataset's name tells it.",
+        ),
+    ] = None,
 ) -> None:
     """Make a synthetic dataset: trajectories, masks, keypoints, joint readings, ground truth; or a wire chaser.
 
     Example: surgbench generate mini --out data/mini
+    Example: surgbench generate occlusion --set occluders.tissue=0.4 --out data/occlusion-tissue-0.4
 
     The same preset and seed give the same bytes. After an interruption the same command goes on where it stopped.
     """
-    from surgbench.generation import GenerationRequest
+    from surgbench.generation import GenerationRequest, parse_settings
     from surgbench.generators.dispatch import plan_preset
     from surgbench.generators.resumable import generate as make
 
-    plan = plan_preset(preset, GenerationRequest(sequences, frames, seed, corruption))
+    plan = plan_preset(preset, GenerationRequest(sequences, frames, seed, corruption, set=parse_settings(set_ or [])))
     workers = jobs or min(len(os.sched_getaffinity(0)), max(1, plan.frames // 20))
 
     def say(line: str) -> None:

@@ -101,6 +101,7 @@ def _make_dataset(request: DatasetRequest, part: PartRequest | None, out: Path, 
             request.seed,
             request.corruption,
             part=None if part is None else (part.sequences, part.frames),
+            set=request.set,
         ),
     )
     try:

@@ -10,6 +10,7 @@ from typing import Annotated, Any, ClassVar
 from pydantic import Field, create_model, model_validator
 
 from surgbench.config import Count, Section
+from surgbench.generation import settings_suffix
 from surgbench.kinds import NAME_PATTERN
 from surgbench.reproduce.published import Published
 from surgbench.suite.asked import Conditions, RowRequest
@@ -24,6 +25,7 @@ class DatasetRequest(Section):
         frames: Per sequence.
         seed: Of the data.
         corruption: Level of the masks' corruption.
+        set: Keys of the preset and their values, as ``{occluders.tissue: 0.4}``.
     """
 
     preset: str
@@ -31,12 +33,14 @@ class DatasetRequest(Section):
     frames: Count | None = None
     seed: Annotated[int, Field(ge=0)] | None = None
     corruption: str | None = None
+    set: dict[str, Any] = Field(default={})
 
     @property
     def folder(self) -> str:
         """Name of its folder: the preset's, and whatever is put over it."""
-        over = self.model_dump(exclude={"preset"}, exclude_none=True)
-        return "-".join([Path(self.preset).stem, *(f"{key}-{value}" for key, value in over.items())])
+        over = self.model_dump(exclude={"preset", "set"}, exclude_none=True)
+        name = "-".join([Path(self.preset).stem, *(f"{key}-{value}" for key, value in over.items())])
+        return f"{name}{settings_suffix(self.set)}"
 
 
 class Timing(Section):

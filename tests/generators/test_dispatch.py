@@ -10,12 +10,13 @@ import pytest
 from surgbench.dataset.open import open_dataset
 from surgbench.dataset.validate import validate
 from surgbench.errors import ConfigError, NotFoundError, SurgbenchError
-from surgbench.generation import GenerationRequest
+from surgbench.generation import GenerationRequest, parse_settings
 from surgbench.generators import dispatch
 from surgbench.generators.dispatch import plan_preset
 from surgbench.generators.mask_sequences import MaskSequences
 from surgbench.generators.resumable import generate
 from surgbench.registry import Found
+from surgbench.reproduce.table import DatasetRequest
 
 # Of a task that we know: wires that are as long as the preset says, and nothing else is asked.
 STRANGER = """
@@ -165,3 +166,46 @@ def test_of_a_part_all_trials_up_to_its_last_are_made() -> None:
     plan = plan_preset("wire-chaser-mini", GenerationRequest(part=(("001", "000"), 5)))
     assert plan.counts == "2 trials, 1400 samples"
     assert plan.marker == plan_preset("wire-chaser-mini", GenerationRequest(sequences=2)).marker
+
+
+def test_any_key_of_a_preset_is_set_and_told() -> None:
+    settings = {"occluders.tissue": 0.4, "corruption.blob_remove": 0.25}
+    plan = plan_preset("occlusion", GenerationRequest(sequences=1, frames=2, set=settings))
+    assert plan.name == "occlusion-occluders.tissue-0.4-corruption.blob_remove-0.25"
+    assert plan.marker["set"] == settings
+    preset = plan.marker["preset"]
+    assert (preset["occluders"]["tissue"], preset["corruption"]["level"]) == (0.4, "custom")
+    assert preset["frames"] == 2
+    assert "set" not in plan_preset("occlusion").marker
+    chaser = plan_preset("wire-chaser-mini", GenerationRequest(set={"hand.tremor_m": 0.0}))
+    assert chaser.name == "wire-chaser-mini-hand.tremor_m-0.0"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("occluders.tisue=0.4", "unknown key 'occluders.tisue'; did you mean 'tissue'?"),
+        ("occluders.tissue=1.4", "'occluders.tissue': input should be less than or equal to 1, not 1.4"),
+        ("pairs.left=3", "--set pairs.left: 'pairs' has no keys"),
+        ("occluders", "--set occluders: must be KEY=VALUE"),
+        ("occluders..tissue=1", "must be KEY=VALUE"),
+        ("generator=mine.py", "unknown key 'generator'"),
+    ],
+)
+def test_what_cannot_be_set_is_said_in_one_line(text: str, message: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        plan_preset("occlusion", GenerationRequest(set=parse_settings([text])))
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_generator_that_ignores_settings_does_not_get_away_with_it(preset: Callable[[str], Path]) -> None:
+    path = preset("generator: mine.py:Mine\nlength: 120\n")
+    with pytest.raises(ConfigError, match="generator 'mine' takes no settings"):
+        plan_preset(path, GenerationRequest(set={"length": 130}))
+
+
+def test_datasets_of_blocks_that_set_other_values_lie_in_other_folders() -> None:
+    folders = {DatasetRequest(preset="occlusion", set={"occluders.tissue": level}).folder for level in (0.0, 0.2, 0.4)}
+    assert folders == {f"occlusion-occluders.tissue-{level}" for level in (0.0, 0.2, 0.4)}
+    assert DatasetRequest(preset="paper", frames=20).folder == "paper-frames-20"

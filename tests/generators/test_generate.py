@@ -22,9 +22,9 @@ from surgbench.dataset.open import open_as
 from surgbench.dataset.validate import validate
 from surgbench.errors import ConfigError, DatasetError, NotFoundError, SurgbenchError
 from surgbench.files import write_atomic
-from surgbench.generators import generate as module
 from surgbench.generators import resumable
 from surgbench.generators.corruption import corrupt
+from surgbench.generators.frames import FrameWriter
 from surgbench.generators.generate import Part, Plan, generate, plan_dataset
 from surgbench.generators.observations import observe_joints, observe_keypoints
 from surgbench.generators.presets import (
@@ -261,7 +261,10 @@ def test_every_preset_loads() -> None:
         "in-and-out",
         "mini",
         "mismatch",
+        "occlusion",
+        "occlusion-rcm",
         "paper",
+        "paper-dual",
         "paper-rcm",
         "paper-wide",
         *chasers,
@@ -503,7 +506,7 @@ def test_ctrl_c_with_workers_leaves_no_wrong_mask(tmp_path: Path) -> None:
 def test_where_ctrl_c_is_ignored_one_job_renders_in_a_worker(
     made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(module._Worker, "render", None)
+    monkeypatch.setattr(FrameWriter, "render", None)
     before = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
         assert generate(plan_dataset(FEW), tmp_path / "out")
@@ -556,14 +559,14 @@ def interrupt(plan: Plan, out: Path, after: int) -> None:
 def masks_made(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """Grows by the frame with every frame rendered."""
     made: list[int] = []
-    render = module._Worker._frame
+    render = FrameWriter._frame
 
     def counting(self: Any, sequence: str, frame: int, states: FloatArray) -> dict[str, bytes]:
         made.append(frame)
         files: dict[str, bytes] = render(self, sequence, frame, states)
         return files
 
-    monkeypatch.setattr(module._Worker, "_frame", counting)
+    monkeypatch.setattr(FrameWriter, "_frame", counting)
     return made
 
 

@@ -17,9 +17,15 @@ from surgbench.dataset.storage import file_entry
 from surgbench.dataset.tables import FRAME
 from surgbench.errors import ConfigError
 from surgbench.exporting import Material
-from surgbench.tasks.instrument.dataset import InstrumentDataset, Sequence, observation_columns, state_columns
+from surgbench.tasks.instrument.dataset import (
+    InstrumentDataset,
+    Sequence,
+    observation_columns,
+    state_columns,
+    visibility_columns,
+)
 from surgbench.tasks.instrument.exported import dataset_of
-from surgbench.tasks.instrument.format import IMAGE_KIND, states_path
+from surgbench.tasks.instrument.format import IMAGE_KIND, states_path, visibility_path
 
 CONFORMS_TO = "http://mlcommons.org/croissant/1.0"
 # Terms of the standard, as it lists them.
@@ -152,6 +158,8 @@ def _tables_of(sequence: Sequence) -> list[tuple[str, str, list[str]]]:
     tables = [("observations", observations_path(sequence.id), observation_columns(sequence.entry))]
     if sequence.entry.truth:
         tables.append(("states", states_path(sequence.id), state_columns(sequence.entry)))
+    if sequence.entry.visibility:
+        tables.append(("visibility", visibility_path(sequence.id), visibility_columns(sequence.entry)))
     return tables
 
 

@@ -33,6 +33,7 @@ from surgbench.tasks.instrument.format import (
     labels_path,
     observed_path,
     states_path,
+    visibility_path,
 )
 from surgbench.tasks.instrument.tables import (
     ARM_JOINT_COLUMNS,
@@ -40,6 +41,7 @@ from surgbench.tasks.instrument.tables import (
     KINEMATICS_COLUMNS,
     READING_COLUMNS,
     STATE_COLUMNS,
+    VISIBILITY_COLUMNS,
     arm_columns,
     label_columns,
 )
@@ -256,6 +258,20 @@ class Sequence:
             return None
         return tables.stack(self._states, arm_columns(arm, STATE_COLUMNS))
 
+    def visibility(self, arm: Arm) -> dict[str, FloatArray] | None:
+        """How much of an arm is seen in each frame; ``None`` if the sequence does not say.
+
+        Returns:
+            Each ``(frames,)``: ``visible``, the share of its silhouette in the picture that neither the other arm nor
+            an occluder hides; ``tool_visible``, the same of its links but the shaft; ``front``, the share of the pixels
+            that both arms cover in which it is in front; ``swapped``, 1 where the observed ``visible_left`` and
+            ``visible_right`` are exchanged. Shares of nothing are NaN.
+        """
+        self._check_arm(arm)
+        if not self.entry.visibility:
+            return None
+        return {name: self._visibility[f"{arm}_{name}"] for name in VISIBILITY_COLUMNS}
+
     @cached_property
     def _observations(self) -> dict[str, FloatArray]:
         path = self.root / observations_path(self.id)
@@ -265,6 +281,11 @@ class Sequence:
     def _labels(self) -> dict[str, FloatArray]:
         path = self.root / labels_path(self.id)
         return tables.decode_table(read_bytes(path), str(path), self.frames, labelled_columns(self.entry))
+
+    @cached_property
+    def _visibility(self) -> dict[str, FloatArray]:
+        path = self.root / visibility_path(self.id)
+        return tables.decode_table(read_bytes(path), str(path), self.frames, visibility_columns(self.entry))
 
     @cached_property
     def _states(self) -> dict[str, FloatArray]:
@@ -300,6 +321,11 @@ def observation_columns(entry: SequenceEntry) -> list[str]:
         if entry.T_cam_base:
             columns += arm_columns(arm, KINEMATICS_COLUMNS)
     return columns
+
+
+def visibility_columns(entry: SequenceEntry) -> list[str]:
+    """Columns that a sequence's ``visibility.parquet`` has besides ``frame``."""
+    return [column for arm in entry.arms for column in arm_columns(arm, VISIBILITY_COLUMNS)]
 
 
 def labelled_columns(entry: SequenceEntry) -> list[str]:

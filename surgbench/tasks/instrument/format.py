@@ -61,6 +61,17 @@ ARM_JOINTS_CONVENTION = {
 ROBOT_ARM = "robot_arm"
 
 
+# Likewise, where the arms are told apart.
+VISIBILITY_CONVENTION = {
+    "instances": "masks visible_left and visible_right: what is seen of that arm, no pixel of both; the observed ones "
+    "are each arm's as a segmentation gives them, in some frames (swapped) each under the other's name; the clean ones "
+    "are without occluders",
+    "visibility": "per arm, in visibility.parquet: visible, the share of its silhouette in the picture that is seen, "
+    "tool_visible, the same of its links but the shaft, front, the share of both arms' overlap in which it is in "
+    "front, and swapped, 1 where observed instance masks are exchanged; NaN: share of nothing",
+}
+
+
 # Likewise.
 LABELS_CONVENTION = {
     "labels": "points of the instruments as somebody marked them, in labels.parquet; (u, v) pixels, NaN: not marked",
@@ -101,6 +112,7 @@ class SequenceEntry(Section):
         labels: Names of the points that somebody marked, under ``truth/<id>/``. Left out of the file where there are
             none.
         truth: Whether ``truth/<id>/`` is there.
+        visibility: Whether that holds how much of each arm is seen. Left out of the file where it does not.
         T_cam_base: Arm to the nominal place of its base frame in the camera frame, ``(4, 4)`` row by row, of every arm
             whose tool poses the observations hold; empty where they hold none.
         source_frames: File stems in the recording this was imported from.
@@ -121,6 +133,7 @@ class SequenceEntry(Section):
     arm_joints: bool = False
     labels: tuple[Annotated[str, Field(pattern=r"^[a-z0-9_]+$")], ...] = ()
     truth: bool = False
+    visibility: bool = False
     T_cam_base: dict[Arm, Annotated[tuple[Finite, ...], Field(min_length=16, max_length=16)]] = {}
     source_frames: tuple[str, ...] = ()
     auxiliary: dict[Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")], AuxiliaryEntry] = {}
@@ -128,7 +141,7 @@ class SequenceEntry(Section):
     @model_serializer(mode="wrap")
     def _without_what_is_not_there(self, serialise: SerializerFunctionWrapHandler) -> dict[str, Any]:
         # So that the hash of a dataset without them does not know of them.
-        optional = ("auxiliary", "arm_joints", "labels")
+        optional = ("auxiliary", "arm_joints", "labels", "visibility")
         return {key: value for key, value in serialise(self).items() if key not in optional or value}
 
     @model_validator(mode="after")
@@ -143,6 +156,8 @@ class SequenceEntry(Section):
             raise ValueError("a label is named twice")
         if self.truth and not self.kinds:
             raise ValueError("a sequence with truth must have masks")
+        if self.visibility and not self.truth:
+            raise ValueError("a sequence with visibility must have truth")
         if self.T_cam_base and set(self.T_cam_base) != set(self.arms):
             raise ValueError("T_cam_base must have every arm, or none")
         for arm, numbers in self.T_cam_base.items():
@@ -230,6 +245,11 @@ def states_path(sequence: str) -> str:
     return f"truth/{sequence}/states.parquet"
 
 
+def visibility_path(sequence: str) -> str:
+    """Where it lies how much of each arm is seen in a sequence."""
+    return f"truth/{sequence}/visibility.parquet"
+
+
 def labels_path(sequence: str) -> str:
     """Where the points lie that somebody marked in a sequence."""
     return f"truth/{sequence}/labels.parquet"
@@ -248,6 +268,8 @@ def sequence_files(entry: SequenceEntry) -> list[str]:
     if entry.truth:
         paths.append(states_path(entry.id))
         paths += [clean_mask_path(entry.id, kind, frame) for kind in entry.kinds for frame in range(entry.frames)]
+    if entry.visibility:
+        paths.append(visibility_path(entry.id))
     if entry.labels:
         paths.append(labels_path(entry.id))
     for name, view in entry.auxiliary.items():

@@ -23,6 +23,11 @@ ARM_JOINT_COLUMNS = (
 )  # fmt: skip
 
 
+# How much of an arm is seen; see the manifest's conventions.
+SWAPPED = "swapped"
+VISIBILITY_COLUMNS = ("visible", "tool_visible", "front", SWAPPED)
+
+
 # T_view_cam of an auxiliary view: rotation vector, then position.
 VIEW_COLUMNS = ("view_rx_rad", "view_ry_rad", "view_rz_rad", "view_x_m", "view_y_m", "view_z_m")
 

@@ -22,6 +22,7 @@ from surgbench.tasks.instrument.dataset import (
     labelled_columns,
     observation_columns,
     state_columns,
+    visibility_columns,
 )
 from surgbench.tasks.instrument.format import (
     IMAGE_KIND,
@@ -33,6 +34,7 @@ from surgbench.tasks.instrument.format import (
     sequence_files,
     states_path,
     view_folder,
+    visibility_path,
 )
 from surgbench.tasks.instrument.tables import (
     ARM_JOINT_COLUMNS,
@@ -47,6 +49,7 @@ from surgbench.tasks.instrument.tables import (
 
 # Angles computed in float64 may pass a limit by rounding.
 TOLERANCE_RAD = 1e-9
+SHARE_TOLERANCE = 1e-9
 
 
 def validate(dataset: InstrumentDataset, progress: Callable[[float], None] = lambda files: None) -> list[str]:
@@ -80,6 +83,8 @@ def validate(dataset: InstrumentDataset, progress: Callable[[float], None] = lam
             problems += _check_labels(root, entry, camera)
         if entry.truth and states_path(entry.id) in sound:
             problems += _check_states(root, entry, limits)
+        if entry.visibility and visibility_path(entry.id) in sound:
+            problems += _check_visibility(root, entry)
         for name, view in entry.auxiliary.items():
             problems += _check_auxiliary(root, entry, name, view, manifest.cameras[view.camera], sound)
     return problems
@@ -205,6 +210,29 @@ def _check_states(root: Path, entry: SequenceEntry, limits: dict[str, JointLimit
         problems += [
             f"{path}: {problem}" for problem in _state_problems(arm, states, limits.get(entry.instruments[arm]))
         ]
+    return problems
+
+
+def _check_visibility(root: Path, entry: SequenceEntry) -> list[str]:
+    path = root / visibility_path(entry.id)
+    try:
+        values = tables.decode_table(read_bytes(path), str(path), entry.frames, visibility_columns(entry))
+    except DatasetError as error:
+        return [str(error)]
+    problems = []
+    for column, shares in values.items():
+        bad = (shares < 0) | (shares > 1)
+        if column.endswith("_swapped"):
+            bad = ~np.isin(shares, (0, 1))
+        if bad.any():
+            what = "neither 0 nor 1" if column.endswith("_swapped") else "no share, 0 to 1"
+            problems.append(f"{path}: frame {_first(bad)}: '{column}' is {shares[_first(bad)]:.6g}, {what}")
+    if len(entry.arms) == 2:
+        fronts = np.stack([values[f"{arm}_front"] for arm in entry.arms])
+        bad = np.isnan(fronts).any(axis=0) != np.isnan(fronts).all(axis=0)
+        bad |= np.abs(fronts.sum(axis=0) - 1) > SHARE_TOLERANCE
+        if bad.any():
+            problems.append(f"{path}: frame {_first(bad)}: the arms' shares in front do not add up to 1")
     return problems
 
 
