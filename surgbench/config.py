@@ -56,6 +56,11 @@ def packaged_names(folder: str) -> list[str]:
     return sorted(entry.name.removesuffix(".yaml") for entry in entries if entry.name.endswith(".yaml"))
 
 
+def is_file(name_or_path: str | Path) -> bool:
+    """Whether a reference means a user's own file: any ``Path``, or a string with a slash or ending in ``.yaml``."""
+    return isinstance(name_or_path, Path) or "/" in name_or_path or name_or_path.lower().endswith(SUFFIXES)
+
+
 def locate(folder: str, what: str, name_or_path: str | Path) -> Path:
     """The file behind a packaged name, or a user's own file.
 
@@ -68,12 +73,12 @@ def locate(folder: str, what: str, name_or_path: str | Path) -> Path:
     Raises:
         NotFoundError: No packaged file has this name; the message offers the nearest.
     """
-    if isinstance(name_or_path, Path) or "/" in name_or_path or name_or_path.lower().endswith(SUFFIXES):
+    if is_file(name_or_path):
         return Path(name_or_path)
-    names = packaged_names(folder)
-    if name_or_path not in names:
-        raise NotFoundError(unknown_name(what, name_or_path, names) + "; or a FILE.yaml")
-    return Path(str(resources.files(f"surgbench.configs.{folder}") / f"{name_or_path}.yaml"))
+    name, names = str(name_or_path), packaged_names(folder)
+    if name not in names:
+        raise NotFoundError(unknown_name(what, name, names) + "; or a FILE.yaml")
+    return Path(str(resources.files(f"surgbench.configs.{folder}") / f"{name}.yaml"))
 
 
 def read_yaml(path: Path, what: str) -> dict[str, Any]:

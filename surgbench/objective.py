@@ -235,14 +235,14 @@ class ViewLoss:
         loss = area + observed - 2 * overlap + self.appearance * np.abs(area - observed)
         return np.asarray(loss, dtype=np.float64), area, overlap
 
-    def keypoints(self, states: FloatArray) -> list[FloatArray]:
+    def keypoints(self, states: FloatArray) -> dict[int, FloatArray]:
         """Eq. 8 with its weight, ``(n,)`` pixels for each arm whose tips were seen."""
         tips = self._projector.project(self.change.states(states))
-        return [
-            self._keypoints * self._term.loss(observed, tips[:, arm])
+        return {
+            arm: self._keypoints * self._term.loss(observed, tips[:, arm])
             for arm, observed in enumerate(self._observed)
             if observed is not None
-        ]
+        }
 
     def keypoints_gradient(self, states: FloatArray) -> FloatArray:
         """Derivative of the sum of :meth:`keypoints`, ``(n, 9 * arms)``."""
@@ -335,7 +335,7 @@ class Objective:
         loss, overlap = self.mismatch(states)
         for view in self.views:
             if view.has_keypoints:
-                for part in view.keypoints(states):
+                for part in view.keypoints(states).values():
                     loss = loss + part
         return loss, overlap
 

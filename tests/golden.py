@@ -24,7 +24,7 @@ from surgbench.errors import ConfigError
 from surgbench.files import canonical_json, sha256_file, sha256_text
 from surgbench.registry import discover
 from surgbench.reproduce.load import load_table
-from surgbench.reproduce.table import Block
+from surgbench.reproduce.table import DatasetRequest, ImportRequest
 from surgbench.suite.environment import environment
 from surgbench.suite.plan import complete
 
@@ -40,16 +40,17 @@ def settings_hashes(data: Path) -> dict[str, str]:
     found = {}
     for name in packaged_names("tables"):
         for block in load_table(name).table.blocks:
-            dataset = open_dataset(_small(block, data))
+            if isinstance(block.dataset, ImportRequest):  # recordings that only some have
+                continue
+            dataset = open_dataset(_small(block.dataset, data))
             for row in block.rows:
                 spec = complete(row.asked(quick=False), block.conditions, dataset).spec()
                 found[f"{name}/{block.name}/{row.id}"] = sha256_text(canonical_json(_without_sources(spec)))[:16]
     return found
 
 
-def _small(block: Block, data: Path) -> Path:
-    """A few frames of the block's dataset: enough to complete its rows."""
-    asked = block.dataset
+def _small(asked: DatasetRequest, data: Path) -> Path:
+    """A few frames of a block's dataset: enough to complete its rows."""
     folder = data / asked.folder
     options = ["--sequences", 1, "--frames", SAMPLES if asked.preset.startswith("wire") else FRAMES]
     for option, value in (("--seed", asked.seed), ("--corruption", asked.corruption)):

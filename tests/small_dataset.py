@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from pathlib import Path
 
 import numpy as np
@@ -24,8 +25,15 @@ from surgbench.tasks.instrument.format import (
     clean_mask_path,
     observed_path,
     states_path,
+    visibility_path,
 )
-from surgbench.tasks.instrument.tables import KEYPOINT_COLUMNS, READING_COLUMNS, STATE_COLUMNS, arm_columns
+from surgbench.tasks.instrument.tables import (
+    KEYPOINT_COLUMNS,
+    READING_COLUMNS,
+    STATE_COLUMNS,
+    VISIBILITY_COLUMNS,
+    arm_columns,
+)
 
 CAMERA = Camera(width=88, height=62, fx=113.2, fy=113.1, cx=36.3, cy=29.4)
 DRIVER = "large_needle_driver"
@@ -53,10 +61,12 @@ def make_pair(
     sequences: int = 2,
     name: str = "pairs",
     visible: tuple[MaskKind, ...] = (),
+    hidden: Collection[int] | None = None,
 ) -> InstrumentDataset:
     """Pairs whose masks are the silhouettes of their states, uncorrupted, with tips and readings.
 
-    The left arm is taken to be in front in masks of what is ``visible``.
+    The left arm is taken to be in front in masks of what is ``visible``. In frames that are ``hidden`` so are the right
+    arm's wrist and jaws, by the table of visibility alone.
     """
     driver = load_instrument(DRIVER)
     save_instrument(driver, root / f"instruments/{DRIVER}")
@@ -83,6 +93,13 @@ def make_pair(
         if truth:
             true = {c: v for arm in ARMS for c, v in zip(arm_columns(arm, STATE_COLUMNS), states[arm].T, strict=True)}
             _put(root / states_path(id_), encode_table(true))
+        if hidden is not None:
+            shares = {f"{arm}_{name}": np.ones(frames) for arm in ARMS for name in VISIBILITY_COLUMNS}
+            shares |= {
+                f"{arm}_{name}": np.full(frames, v) for arm in ARMS for name, v in (("front", 0.5), ("swapped", 0))
+            }
+            shares["right_tool_visible"][list(hidden)] = 0.0
+            _put(root / visibility_path(id_), encode_table(shares))
         entries.append(
             SequenceEntry(
                 id=id_,
@@ -95,6 +112,7 @@ def make_pair(
                 keypoints=True,
                 readings=True,
                 truth=truth,
+                visibility=hidden is not None,
             )
         )
     paths = [path for path in root.rglob("*") if path.is_file()]

@@ -64,8 +64,15 @@ def draw() -> Figure:
         room(axes, x, 76, width, 12, name, what, colour)
         if place:
             way(axes, (x - gap, 82), (x, 82), says[place - 1])
-    room(axes, 23.2, 66, 17, 6, "exchange/", "recordings of others", PLUGGED)
+    room(axes, 0, 66, 17, 6, "recordings/", "what files mean", BUILT_ON)
+    room(axes, 23.2, 66, 17, 6, "exchange/", "importers", PLUGGED)
+    way(axes, (17, 69), (23.2, 69))
     way(axes, (40.2, 69), (50, 75.8))
+    room(axes, 92.8, 66, 17, 6, "exchange/exporters/", "BOP, COCO, TUM, …", PLUGGED)
+    way(axes, (60, 75.8), (92.8, 68.6))
+    way(axes, (101.3, 75.8), (101.3, 72.1))
+    room(axes, 116, 66, 17, 6, "handeye/", "the robot as a judge", BUILT_ON)
+    way(axes, (104, 75.8), (116, 70))
 
     heading(axes, 0, 62.5, "the engine, surgbench/: knows no task, no tracker and no generator by name")
     engine = [

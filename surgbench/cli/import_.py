@@ -46,26 +46,42 @@ def _import() -> None:
     """
 
 
-def _command(found: Found) -> Any:
-    from surgbench.cli.options import field_options, with_options
+def import_recordings(found: Found, options: dict[str, Any], source: Path, out: Path) -> None:
+    """Make a dataset of recordings, and say what was made of them.
+
+    Args:
+        found: The importer.
+        options: Its own.
+        source: The recordings.
+        out: The dataset's folder: new or empty.
+
+    Raises:
+        SurgbenchError: Something in them is missing or wrong, or nothing can be written there; one line.
+    """
     from surgbench.dataset.open import open_dataset
     from surgbench.dataset.storage import check_new
     from surgbench.locks import sole_writer
     from surgbench.registry import create
+
+    importer = create(found, options)
+    with sole_writer(out, "import"):
+        check_new(out)
+        with progress("frames", importer.frames(source)) as advance:
+            lines = importer.run(source, out, advance)
+    for line in lines or ():
+        print(line, file=sys.stderr)
+    open_dataset(out)  # before it is called one
+
+
+def _command(found: Found) -> Any:
+    from surgbench.cli.options import field_options, with_options
 
     def command(
         options: dict[str, Any],
         source: Annotated[Path, typer.Argument(metavar="SRC", help="The recording.")],
         out: Annotated[Path, typer.Option(help="The dataset's folder: new or empty.")],
     ) -> None:
-        importer = create(found, options)
-        with sole_writer(out, "import"):
-            check_new(out)
-            with progress("frames", importer.frames(source)) as advance:
-                lines = importer.run(source, out, advance)
-        for line in lines or ():
-            print(line, file=sys.stderr)
-        open_dataset(out)  # before it is called one
+        import_recordings(found, options, source, out)
         print(out)
 
     model = getattr(found.cls, "Config", None)

@@ -6,7 +6,7 @@ import os
 import sys
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -14,13 +14,23 @@ from surgbench.cli.progress import Bar, progress
 
 if TYPE_CHECKING:
     from surgbench.reproduce.datasets import PartRequest
-    from surgbench.reproduce.table import DatasetRequest, Definition
+    from surgbench.reproduce.table import DatasetRequest, Definition, ImportRequest
 
 COMMITTED, OWN = Path("results"), Path("reproduced")
 
 
 def reproduce(
     table: Annotated[str, typer.Argument(metavar="TABLE|FILE.yaml", help="A table's name, or a table file.")],
+    arms: Annotated[
+        Literal["single", "dual"], typer.Option(help="The table of single arms, or that of pairs in one image.")
+    ] = "single",
+    surgpose: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="SurgPose on your disk: the table's rows on its recordings.")
+    ] = None,
+    surgpose_masks: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Masks of SurgPose: TRAJECTORY/PSM1 and PSM3. Default: in --surgpose."),
+    ] = None,
     quick: Annotated[bool, typer.Option("--quick", help="Every row on a small fixed share; not to be quoted.")] = False,
     check: Annotated[
         bool, typer.Option("--check", help="Run a part of a finished table again and compare; nothing is written.")
@@ -45,12 +55,17 @@ def reproduce(
 
     Example: surgbench reproduce table1 --quick
 
+    Example: surgbench reproduce table1 --arms dual
+
+    Example: surgbench reproduce table1 --surgpose SurgPose --surgpose-masks sam2
+
     Whatever is interrupted goes on with the same command. --check takes the table in DIR, sees whether its files agree,
     runs a part of it again that its hash and the git commit choose, and ends with exit code 1 where it comes out
     differently. A run that fails makes exit code 1 too.
     """
     from rich.console import Console
 
+    from surgbench.config import is_file
     from surgbench.errors import ConfigError
     from surgbench.reproduce.load import load_table
     from surgbench.reproduce.make import render as render_page
@@ -60,23 +75,34 @@ def reproduce(
 
     if sum((quick, check, render)) > 1:
         raise ConfigError("--quick, --check and --render contradict each other; give one")
-    definition = load_table(table)
+    if surgpose_masks is not None and surgpose is None:
+        raise ConfigError("--surgpose-masks needs --surgpose DIR")
+    definition = load_table(table if is_file(table) else _name(table, arms == "dual", surgpose is not None))
+    maker = _Maker({"surgpose": (surgpose, {"masks": surgpose_masks})})
     workers = jobs or len(os.sched_getaffinity(0))
     place = out or (COMMITTED if check or render else OWN)
     folder = table_folder(definition, place, quick)
     if check:
-        _check(definition, folder, data, workers)
+        _check(definition, folder, data, workers, maker)
         return
     if render:
         print(render_page(definition, folder))
         return
-    results, failures = make_table(definition, place, data, workers, quick, _make_dataset, _Watcher())
+    results, failures = make_table(definition, place, data, workers, quick, maker, _Watcher())
     print_table(definition, results, Console())
     for failure in failures:
         print(failure, file=sys.stderr)
     print(folder)
     if failures:
         raise typer.Exit(1)
+
+
+def _name(table: str, dual: bool, surgpose: bool) -> str:
+    """Of the table on pairs, on recordings, or both; whoever names that itself need not be told."""
+    for suffix, wanted in (("-dual", dual), ("-surgpose", surgpose)):
+        if wanted and suffix not in table:
+            table += suffix
+    return table
 
 
 class _Watcher:
@@ -87,7 +113,41 @@ class _Watcher:
         return progress(description, total)
 
 
-def _make_dataset(request: DatasetRequest, part: PartRequest | None, out: Path, jobs: int) -> None:
+class _Maker:
+    """Makes the datasets of tables.
+
+    Args:
+        sources: Importer to where its recordings lie, and to what options are told besides; ``None``: not told.
+    """
+
+    def __init__(self, sources: dict[str, tuple[Path | None, dict[str, Any]]]) -> None:
+        self._sources = sources
+
+    def __call__(self, request: DatasetRequest | ImportRequest, part: PartRequest | None, out: Path, jobs: int) -> None:
+        from surgbench.reproduce.table import ImportRequest
+
+        if isinstance(request, ImportRequest):
+            self._import(request, out)
+        else:
+            _generate(request, part, out, jobs)
+
+    def _import(self, request: ImportRequest, out: Path) -> None:
+        from surgbench.cli.import_ import import_recordings
+        from surgbench.dataset.manifest import MANIFEST_NAME
+        from surgbench.errors import ConfigError
+        from surgbench.registry import find
+
+        if (out / MANIFEST_NAME).is_file():
+            print(f"{out}: imported already; delete it to have it imported again", file=sys.stderr)
+            return
+        source, options = self._sources.get(request.importer, (None, {}))
+        if source is None:
+            raise ConfigError(f"dataset {request.folder}: needs --{request.importer} DIR, where its recordings lie")
+        told = {name: value for name, value in options.items() if value is not None}
+        import_recordings(find("importer", request.importer), {**request.options, **told}, source, out)
+
+
+def _generate(request: DatasetRequest, part: PartRequest | None, out: Path, jobs: int) -> None:
     from surgbench.errors import DatasetError
     from surgbench.generation import GenerationRequest
     from surgbench.generators.dispatch import plan_preset
@@ -111,10 +171,10 @@ def _make_dataset(request: DatasetRequest, part: PartRequest | None, out: Path, 
         raise DatasetError(str(error).replace("--out", "--data")) from None
 
 
-def _check(definition: Definition, folder: Path, data: Path, workers: int) -> None:
+def _check(definition: Definition, folder: Path, data: Path, workers: int, maker: _Maker) -> None:
     from surgbench.reproduce.check import check
 
-    problems, verdicts = check(definition, folder, data, workers, _make_dataset, _Watcher())
+    problems, verdicts = check(definition, folder, data, workers, maker, _Watcher())
     for verdict in verdicts:
         chosen = verdict.chosen
         print(f"{verdict.outcome:10} {chosen.row.id} {chosen.unit}: {verdict.detail}")

@@ -72,7 +72,7 @@ def run(
     from surgbench.records.format import SKIPPED
     from surgbench.records.reader import read_records
     from surgbench.report.render import print_leaderboard
-    from surgbench.report.rows import derive_rows
+    from surgbench.report.rows import derive_rows, hints
     from surgbench.suite.plan import complete_all
     from surgbench.suite.plan import jobs as plan_jobs
     from surgbench.suite.run import check_output, make_plan, probe_output
@@ -120,8 +120,10 @@ def run(
         spec = record["spec"]
         print(f"{spec['row_id']} {spec['unit']}: {record['status']}: {record['error']}", file=sys.stderr)
     # The folder may hold other datasets' and other settings' records: show what was asked for.
-    rows = derive_rows([record for record in read_records([out]) if record.spec_hash in {job.hash for job in planned}])
-    print_leaderboard(rows, Console())
+    asked_for = [record for record in read_records([out]) if record.spec_hash in {job.hash for job in planned}]
+    for line in hints(asked_for):
+        print(line, file=sys.stderr)
+    print_leaderboard(derive_rows(asked_for), Console())
     print(out)
     if failures and len(failures) == len(plan.todo) - plan.skipped:
         raise typer.Exit(1)

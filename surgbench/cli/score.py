@@ -43,7 +43,7 @@ def score(
     from surgbench.dataset.open import open_dataset
     from surgbench.records.reader import read_records
     from surgbench.report.render import print_leaderboard
-    from surgbench.report.rows import derive_rows
+    from surgbench.report.rows import derive_rows, hints
     from surgbench.suite.asked import FileRequest
     from surgbench.suite.score import FileScore
 
@@ -55,5 +55,8 @@ def score(
     with progress("frames", sum(job.frames for job in work.plan.todo)) as advance:
         work.run(advance)
     hashes = {job.hash for job in work.jobs}
-    print_leaderboard(derive_rows([one for one in read_records([out]) if one.spec_hash in hashes]), Console())
+    scored = [one for one in read_records([out]) if one.spec_hash in hashes]
+    for line in hints(scored):
+        print(line, file=sys.stderr)
+    print_leaderboard(derive_rows(scored), Console())
     print(out)

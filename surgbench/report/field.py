@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 FieldType = Literal["text", "count", "number", "flag"]
 
@@ -40,6 +40,12 @@ def number(*keys: str) -> tuple[Field, ...]:
 def flag(*keys: str) -> tuple[Field, ...]:
     """Fields that hold yes or no."""
     return tuple(Field(key, "flag") for key in keys)
+
+
+def filled(fields: Iterable[Field], rows: Iterable[Mapping[str, Any]]) -> tuple[Field, ...]:
+    """Those that a row has a value of."""
+    present = {key for row in rows for key, value in row.items() if value is not None}
+    return tuple(field for field in fields if field.key in present)
 
 
 def keys(fields: Iterable[Field]) -> tuple[str, ...]:

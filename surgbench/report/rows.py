@@ -11,7 +11,7 @@ import numpy as np
 from surgbench.processes.reference import REFERENCE_MS
 from surgbench.records.format import SKIPPED, Record
 from surgbench.records.reader import read_records
-from surgbench.report.field import Field, keys
+from surgbench.report.field import Field, filled, keys
 from surgbench.report.row import COMMON_COLUMNS, Row, median, pooled
 from surgbench.report.telling import telling_variants
 from surgbench.task import Task, default_task, find_task
@@ -62,20 +62,17 @@ def derive_rows(records: Sequence[Record]) -> list[Row]:
     return [row for _, row in ranked]
 
 
+def hints(records: Sequence[Record]) -> list[str]:
+    """One line for each record that says that something is odd."""
+    return [f"{one.spec.row_id} {one.spec.unit}: {one.hint}" for one in records if one.hint is not None]
+
+
 def columns(rows: Sequence[Row]) -> tuple[Field, ...]:
     """The columns that rows have: those of their task, or of all of their tasks, and further ones that a row fills."""
     tasks = [find_task(name) for name in sorted({row["task"] for row in rows})] or [default_task()]
     return tuple(
-        dict.fromkeys(
-            column
-            for task in tasks
-            for column in (*task.columns, *(one for one in task.further_columns if _is_filled(one, rows)))
-        )
+        dict.fromkeys(column for task in tasks for column in (*task.columns, *filled(task.further_columns, rows)))
     )
-
-
-def _is_filled(column: Field, rows: Sequence[Row]) -> bool:
-    return any(row.get(column.key) is not None for row in rows)
 
 
 def _place(task: Task, row: Row, group: str) -> tuple[Any, ...]:

@@ -53,12 +53,13 @@ def _row_problems(sheet: Sheet, row: Row, sequences: list[Row]) -> list[str]:
         "sequences": len({one["unit"] for one in sequences}),
         "frames": sum(one["frames"] for one in sequences),
         **{count: sum(one[count] for one in sequences) for count in sheet.counts},
+        **{count: sum(one[count] or 0 for one in sequences) for count in sheet.further_counts if row.get(count)},
     }
-    for error in sheet.errors:
+    for error in (*sheet.errors, *(further for further in sheet.further_errors if further in row)):
         means = [
             float(np.mean(values))
             for unit in sorted({one["unit"] for one in sequences})
-            if (values := [one[error] for one in sequences if one["unit"] == unit and one[error] is not None])
+            if (values := [one[error] for one in sequences if one["unit"] == unit and one.get(error) is not None])
         ]
         expected[error] = float(np.mean(means)) if means else None
         if error not in sheet.spreadless:

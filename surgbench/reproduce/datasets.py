@@ -9,7 +9,7 @@ from typing import Any, Protocol
 
 from surgbench.dataset.base import Dataset
 from surgbench.dataset.open import open_dataset
-from surgbench.reproduce.table import DatasetRequest
+from surgbench.reproduce.table import DatasetRequest, ImportRequest
 
 
 @dataclass(frozen=True)
@@ -48,23 +48,29 @@ class Watcher(Protocol):
 class MakeDataset(Protocol):
     """Generates a dataset, or finishes one that was interrupted. The engine knows no generator, so it is handed in."""
 
-    def __call__(self, request: DatasetRequest, part: PartRequest | None, out: Path, jobs: int) -> None:
-        """Have the dataset, or a part of it, whole in ``out`` afterwards."""
+    def __call__(self, request: DatasetRequest | ImportRequest, part: PartRequest | None, out: Path, jobs: int) -> None:
+        """Have the dataset whole in ``out`` afterwards, or a part of one that is generated."""
 
 
 def provide(
-    request: DatasetRequest, part: PartRequest | None, data: Path, jobs: int, make: MakeDataset
+    request: DatasetRequest | ImportRequest,
+    part: PartRequest | None,
+    data: Path,
+    jobs: int,
+    make: MakeDataset,
 ) -> Dataset[Any]:
     """A dataset, made first where it is not there.
 
     Args:
         request: What it is.
-        part: What of it is needed; ``None``: all.
+        part: What of it is needed, if it is generated: recordings are read whole. ``None``: all.
         data: Folder of datasets.
         jobs: Worker processes.
         make: Makes it.
     """
     folder = request.folder
+    if isinstance(request, ImportRequest):
+        part = None
     if part is not None:
         folder += f"-part-{'-'.join(part.sequences)}-{part.frames}"
     make(request, part, data / folder, jobs)

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
 from surgbench.errors import DatasetError
 from surgbench.files import canonical_json
+from surgbench.report.field import Field
 from surgbench.report.frame import read_csv, to_rows
+from surgbench.report.row import Row
 from surgbench.reproduce.results import Results
 from surgbench.task import default_task, find_task
 
@@ -25,6 +28,12 @@ def json_text(about: dict[str, Any]) -> str:
     return f'{head_text[:-2]},\n "records": {{\n{lines}\n }}\n}}\n'
 
 
+def _read(path: Path, fields: Callable[[Iterable[Row]], tuple[Field, ...]]) -> list[Row]:
+    content = path.read_text(encoding="utf-8")
+    header = content.partition("\n")[0].split(",")
+    return to_rows(read_csv(content, fields([dict.fromkeys(header, True)])))
+
+
 def read_results(folder: Path) -> Results:
     """Results as they were written.
 
@@ -38,9 +47,9 @@ def read_results(folder: Path) -> Results:
             raise ValueError(f"not of the format {FORMAT}")
         path = folder / LEADERBOARD_CSV
         sheet = find_task(about.get("task", default_task().name)).sheet
-        rows = to_rows(read_csv(path.read_text(encoding="utf-8"), sheet.leaderboard))
+        rows = _read(path, sheet.leaderboard)
         path = folder / SEQUENCES_CSV
-        return Results(rows, to_rows(read_csv(path.read_text(encoding="utf-8"), sheet.sequences)), about)
+        return Results(rows, _read(path, sheet.sequences), about)
     except FileNotFoundError:
         raise DatasetError(f"{path}: missing; a reproduced table is a folder with this file") from None
     except OSError as error:

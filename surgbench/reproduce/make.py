@@ -49,21 +49,25 @@ def reproduce(
     Raises:
         SurgbenchError: Something cannot be written, or a dataset or record is at fault.
     """
-    with_figure = definition.table.figure is not None and not quick
-    if with_figure:
+    with_pictures = definition.table.has_pictures and not quick
+    if with_pictures:
         try:
             check_matplotlib()
         except SurgbenchError as error:  # said before the work, and no reason not to do it
-            watcher.say(f"{FIGURE_PNG} will be left out: {error}")
-            with_figure = False
+            watcher.say(f"{FIGURE_PNG} and other pictures will be left out: {error}")
+            with_pictures = False
     folder = table_folder(definition, out, quick)
     blocks, failures = do_work(definition, folder, data, jobs, quick, make, watcher)
     results = derive(definition, blocks, folder, quick)
     sheet = find_task(definition.table.task).sheet
-    results.about["figure"] = bool(with_figure and sheet.draw(definition, blocks, folder))
+    drawn = sheet.draw(definition, blocks, results, folder) if with_pictures else []
+    results.about["figure"] = FIGURE_PNG in drawn
+    further = [name for name in drawn if name != FIGURE_PNG]
+    if further:
+        results.about["pictures"] = further
     texts = {
-        LEADERBOARD_CSV: csv_text(to_frame(results.rows, sheet.leaderboard)),
-        SEQUENCES_CSV: csv_text(to_frame(results.sequences, sheet.sequences)),
+        LEADERBOARD_CSV: csv_text(to_frame(results.rows, sheet.leaderboard(results.rows))),
+        SEQUENCES_CSV: csv_text(to_frame(results.sequences, sheet.sequences(results.sequences))),
         RECORDS_JSON: json_text(results.about),
         LEADERBOARD_MD: sheet.page(definition, results),
     }

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from surgbench.records.format import Record
-from surgbench.report.field import Field, count, keys, number, text
+from surgbench.report.field import Field, count, filled, keys, number, text
 from surgbench.report.row import Row
 
 if TYPE_CHECKING:
@@ -27,6 +27,9 @@ class Sheet:
         errors: Whose means over a sequence are kept, and of them a row's.
         spreadless: Those of them of which no spread is kept: shares, and what is one value for all frames.
         counts: Counted over a sequence.
+        further_columns: Of the leaderboard, those that stand only where a row has a value of them.
+        further_errors: The same of a sequence's means.
+        further_counts: And of what is counted over a sequence.
         traits: Of a sequence, text.
         no_difference: Error to what nobody would call a difference in its mean.
         traits_of: A dataset's sequence to its traits.
@@ -34,7 +37,8 @@ class Sheet:
         describe: A dataset, and how many frames of each sequence are meant by first, to what is kept of it: at least
             ``sequences`` and ``frames``, how many there are, and ``first_sha256``, sequence to a hash of these frames.
         page: The Markdown page.
-        draw: The figures that go into the table's folder; their names, none where nothing can be drawn.
+        draw: The figures that go into the table's folder (a definition with some, its work, its results, the folder);
+            their names, none where nothing can be drawn.
         estimates: Column of a record's frames that a rerun is held against.
         measures: What is shown beside published figures in the terminal.
     """
@@ -49,20 +53,30 @@ class Sheet:
     count: Callable[[Any], Row]
     describe: Callable[[Any, int], dict[str, Any]]
     page: Callable[[Definition, Results], str]
-    draw: Callable[[Definition, Sequence[BlockWork], Path], list[str]]
+    draw: Callable[[Definition, Sequence[BlockWork], Results, Path], list[str]]
     estimates: str
     measures: tuple[Column, ...] = ()
+    further_columns: tuple[Field, ...] = ()
+    further_errors: tuple[str, ...] = ()
+    further_counts: tuple[str, ...] = ()
 
-    @property
-    def leaderboard(self) -> tuple[Field, ...]:
-        """Columns of ``leaderboard.csv``."""
-        return (*self.columns, *text("block", "label"))
+    def leaderboard(self, rows: Iterable[Row]) -> tuple[Field, ...]:
+        """Columns of ``leaderboard.csv``.
 
-    @property
-    def sequences(self) -> tuple[Field, ...]:
-        """Columns of ``sequences.csv``: no times, so that a rerun elsewhere writes the same file."""
+        Args:
+            rows: Its rows; of a file the keys, with any value.
+        """
+        return (*self.columns, *filled(self.further_columns, rows), *text("block", "label"))
+
+    def sequences(self, rows: Iterable[Row]) -> tuple[Field, ...]:
+        """Columns of ``sequences.csv``: no times, so that a rerun elsewhere writes the same file.
+
+        Args:
+            rows: As above.
+        """
         head = (*text("row_id", "block", "unit", *self.traits), *count("repeat"), *text("status"), *count("frames"))
-        return (*head, *number(*self.errors), *count(*self.counts))
+        further = filled((*number(*self.further_errors), *count(*self.further_counts)), rows)
+        return (*head, *number(*self.errors), *count(*self.counts), *further)
 
     @property
     def latencies(self) -> tuple[str, ...]:
@@ -83,7 +97,7 @@ class Sheet:
             "frames": len(record.frames.index),
             **self.count(record),
         }
-        for error in self.errors:
+        for error in (*self.errors, *self.further_errors):
             values = record.errors.get(error, np.array([]))
             values = values[~np.isnan(values)]
             row[error] = float(values.mean()) if values.size else None

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
-from pydantic import Field, create_model, model_validator
+from pydantic import Discriminator, Field, Tag, create_model, model_validator
 
 from surgbench.config import Count, Section
 from surgbench.generation import settings_suffix
@@ -41,6 +41,35 @@ class DatasetRequest(Section):
         over = self.model_dump(exclude={"preset", "set"}, exclude_none=True)
         name = "-".join([Path(self.preset).stem, *(f"{key}-{value}" for key, value in over.items())])
         return f"{name}{settings_suffix(self.set)}"
+
+
+class ImportRequest(Section):
+    """A dataset made of recordings that whoever reproduces the table has on a disk.
+
+    Attributes:
+        importer: What reads them; where they lie is told on the command line.
+        name: Of its folder.
+        options: The importer's.
+    """
+
+    importer: str
+    name: Annotated[str, Field(pattern=f"^{NAME_PATTERN}$")]
+    options: dict[str, Any] = Field(default={})
+
+    @property
+    def folder(self) -> str:
+        """Name of its folder."""
+        return self.name
+
+
+def _origin(content: Any) -> str:
+    keys = content if isinstance(content, dict) else type(content).model_fields
+    return "imported" if "importer" in keys else "generated"
+
+
+AnyDataset = Annotated[
+    Annotated[DatasetRequest, Tag("generated")] | Annotated[ImportRequest, Tag("imported")], Discriminator(_origin)
+]
 
 
 class Timing(Section):
@@ -95,22 +124,24 @@ class Block(Section):
         name: A word.
         heading: As it stands over the block.
         note: The protocol in words.
-        dataset: What to generate.
+        dataset: What to generate or import.
         quick_sequences: Ids of the dataset's sequences that a quick run makes.
         conditions: What all rows share.
         defaults: What its rows ask for where they do not say.
         published_on: Which of the published rows' datasets the block stands for.
+        levels: What makes its dataset hard, and at which level: where the block stands on curves over levels.
         rows: In the order they are shown.
     """
 
     name: Annotated[str, Field(pattern=f"^{NAME_PATTERN}$")]
     heading: str
     note: str = ""
-    dataset: DatasetRequest
+    dataset: AnyDataset
     quick_sequences: Annotated[tuple[str, ...], Field(min_length=1)]
     conditions: Conditions = Conditions()
     defaults: dict[str, Any] = Field(default={})
     published_on: str | None = None
+    levels: dict[str, Annotated[float, Field(ge=0)]] = Field(default={})
     rows: Annotated[tuple[TableRow, ...], Field(min_length=1)]
 
 
@@ -152,6 +183,20 @@ class Picture(Section):
     rows: Annotated[tuple[str, ...], Field(min_length=1, max_length=5)]
 
 
+class Worst(Section):
+    """The sheet of worst moments.
+
+    Attributes:
+        block: Its block.
+        rows: Row ids, a line each.
+        moments: Of each row.
+    """
+
+    block: str
+    rows: Annotated[tuple[str, ...], Field(min_length=1, max_length=6)]
+    moments: Annotated[int, Field(ge=1, le=8)] = 4
+
+
 class Table(Section):
     """A table file.
 
@@ -163,7 +208,8 @@ class Table(Section):
         quick: Fixed small share.
         timing: Where latencies come from.
         check: How much ``--check`` repeats.
-        figure: What is drawn, if anything.
+        figure: Estimates over time, if they are drawn.
+        worst: Worst moments, if they are drawn.
         blocks: The parts, in order.
     """
 
@@ -175,6 +221,7 @@ class Table(Section):
     timing: Timing
     check: Check
     figure: Picture | None = None
+    worst: Worst | None = None
     blocks: Annotated[tuple[Block, ...], Field(min_length=1)]
 
     @model_validator(mode="after")
@@ -193,11 +240,16 @@ class Table(Section):
         names = [block.name for block in self.blocks]
         if len(set(names)) < len(names):
             raise ValueError("two blocks have the same name")
-        if self.figure is not None:
-            for id_ in self.figure.rows:
-                if id_ not in [row.id for block, row in self.rows() if block.name == self.figure.block]:
-                    raise ValueError(f"figure: block '{self.figure.block}' has no row '{id_}'")
+        for key, wanted in (("figure", self.figure), ("worst", self.worst)):
+            for id_ in () if wanted is None else wanted.rows:
+                if wanted and id_ not in [row.id for block, row in self.rows() if block.name == wanted.block]:
+                    raise ValueError(f"{key}: block '{wanted.block}' has no row '{id_}'")
         return self
+
+    @property
+    def has_pictures(self) -> bool:
+        """Whether anything is drawn for it."""
+        return self.figure is not None or self.worst is not None or any(block.levels for block in self.blocks)
 
     def rows(self) -> Iterator[tuple[Block, TableRow]]:
         """Every row with its block, in order."""

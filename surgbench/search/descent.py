@@ -12,6 +12,8 @@ from surgbench.config import Section
 from surgbench.contract import Estimate, InstrumentTracker, Observation, Scene, Trace
 from surgbench.geometry import FloatArray
 from surgbench.objective import LossWeights, Objective
+from surgbench.pair_objective import PairObjective
+from surgbench.search.arms import arm_confidence
 from surgbench.search.spaces import SearchSpaces
 from surgbench.state import JointLimits, clip_joints
 
@@ -54,7 +56,10 @@ class DescentConfig(Section):
 
 
 class DescentTracker(InstrumentTracker):
-    """Gradient descent in the normalised state, begun anew in each frame."""
+    """Gradient descent in the normalised state, begun anew in each frame.
+
+    Two arms go down together, on their one mask. Their own masks, where there are any, tell how sure it is of each.
+    """
 
     def __init__(self, config: DescentConfig) -> None:
         self._options = config
@@ -63,6 +68,7 @@ class DescentTracker(InstrumentTracker):
     def reset(self, scene: Scene, state: FloatArray, rng: np.random.Generator) -> None:
         """Prepare the loss and the search spaces."""
         self._objective = self._differentiable(scene, rng)
+        self._pair = PairObjective(scene, self._options.loss) if scene.arms == 2 else None
         options = self._options
         self._spaces = SearchSpaces(scene, options.readings_scale, options.jaw_step_rad, options.joints == "clamped")
         limits = scene.joint_limits
@@ -93,5 +99,9 @@ class DescentTracker(InstrumentTracker):
         if self.trace is not None:
             self.trace.states += [state[None] for state in states]
             self.trace.losses += [loss[None] for loss in losses]
+        if self._pair is not None:
+            self._pair.observe(observation)
+            confidence, hidden = arm_confidence(self._pair, states[chosen])
+            return Estimate(states[chosen], confidence, hidden | (confidence < self._options.lost_iou))
         iou = float(ious[chosen])
         return Estimate(states[chosen], confidence=iou, lost=iou < self._options.lost_iou)

@@ -12,6 +12,7 @@ from surgbench.silhouette.evaluator import (
 )
 from surgbench.silhouette.keypoints import KeypointProjector
 from surgbench.silhouette.visibility import VisibilityEvaluator
+from surgbench.silhouette.visible_scores import VisibleScore, VisibleScorer
 
 __all__ = [
     "ContourPoints",
@@ -23,5 +24,7 @@ __all__ = [
     "Score",
     "SilhouetteEvaluator",
     "VisibilityEvaluator",
+    "VisibleScore",
+    "VisibleScorer",
     "iou",
 ]

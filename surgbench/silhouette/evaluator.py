@@ -431,9 +431,13 @@ class SilhouetteEvaluator:
 
     def mask(self, state: ArrayLike) -> Mask:
         """Silhouette of one state ``(9 * arms,)`` as an ``(H, W)`` bool image."""
-        one = self._states(state, 1)
         image = np.zeros((self.camera.height, self.camera.width), dtype=bool)
+        self.paint(state, image)
+        return image
+
+    def paint(self, state: ArrayLike, image: Mask) -> None:
+        """Put the silhouette of one state ``(9 * arms,)`` into an ``(H, W)`` image that is false all over."""
+        one = self._states(state, 1)
         with self._lock:
             while not self._fits(kernel.paint(one, *self._fixed, self._contours[0], self._rows[0], image)):
                 image[:] = False
-        return image

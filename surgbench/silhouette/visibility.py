@@ -38,8 +38,12 @@ class _Arm:
 
     def points_cam(self, state: FloatArray) -> FloatArray:
         """All vertices ``(V, 3)`` in the camera frame, metres."""
-        T = self.instrument.link_transforms(state)[self.vertex_link]
-        points: FloatArray = np.einsum("vij,vj->vi", T[:, :3, :3], self.vertices_m) + T[:, :3, 3]
+        return self.points_of(self.instrument.link_transforms(state))
+
+    def points_of(self, link_transforms: FloatArray) -> FloatArray:
+        """The same from where its links are, ``(L, 4, 4)``."""
+        points: FloatArray = np.empty_like(self.vertices_m)
+        place_points(link_transforms, self.vertex_link, self.vertices_m, points)
         return points
 
 
@@ -50,6 +54,10 @@ class VisibilityEvaluator:
         instruments: One per arm; states have ``9 * len(instruments)`` components.
         camera: The view.
         near_m: Surfaces nearer to the camera plane are not seen. A solid that the near plane cuts is seen there.
+
+    Attributes:
+        arms: The silhouette and the body of each arm alone.
+        lens: The camera, as compiled functions take it.
 
     Raises:
         ValueError: A link's mesh is not closed.
@@ -74,8 +82,8 @@ class VisibilityEvaluator:
         if not instruments:
             raise ValueError("at least one instrument is needed, one per arm")
         self.camera = camera
-        self._arms = [_Arm(instrument, camera, near_m) for instrument in instruments]
-        self._lens = lens(camera, near_m)
+        self.arms = [_Arm(instrument, camera, near_m) for instrument in instruments]
+        self.lens = lens(camera, near_m)
 
     def silhouettes(self, state: ArrayLike) -> NDArray[np.bool_]:
         """Each arm's silhouette as if it were alone.
@@ -92,7 +100,7 @@ class VisibilityEvaluator:
         states = self._split(state)
         if not np.isfinite(states).all():
             return np.zeros((len(states), self.camera.height, self.camera.width), dtype=bool)
-        return np.stack([arm.evaluator.mask(own) for arm, own in zip(self._arms, states, strict=True)])
+        return np.stack([arm.evaluator.mask(own) for arm, own in zip(self.arms, states, strict=True)])
 
     def visible_masks(self, state: ArrayLike) -> NDArray[np.bool_]:
         """Where each arm is seen and not hidden by another.
@@ -143,8 +151,8 @@ class VisibilityEvaluator:
 
     def _split(self, state: ArrayLike) -> FloatArray:
         array = np.asarray(state, dtype=np.float64)
-        if array.shape != (STATE_SIZE * len(self._arms),):
-            raise ValueError(f"state must have shape ({STATE_SIZE * len(self._arms)},); got {array.shape}")
+        if array.shape != (STATE_SIZE * len(self.arms),):
+            raise ValueError(f"state must have shape ({STATE_SIZE * len(self.arms)},); got {array.shape}")
         return split_arms(array)
 
     def _resolve(self, states: FloatArray, silhouettes: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -160,9 +168,9 @@ class VisibilityEvaluator:
     def _depths(self, states: FloatArray, wanted: NDArray[np.bool_]) -> FloatArray:
         """Depths at the wanted pixels of each arm's silhouette ``(arms, H, W)``, inf elsewhere."""
         depths = np.empty(wanted.shape)
-        for arm, state, pixels, depth in zip(self._arms, states, wanted, depths, strict=True):
+        for arm, state, pixels, depth in zip(self.arms, states, wanted, depths, strict=True):
             if pixels.any():
-                nearest_surface(arm.points_cam(state), arm.faces, self._lens, pixels, depth)
+                nearest_surface(arm.points_cam(state), arm.faces, self.lens, pixels, depth)
             else:
                 depth[:] = np.inf
         return depths
@@ -185,19 +193,44 @@ def nearest_surface(points: Any, faces: Any, lens: Any, wanted: Any, depth: Any)
         wanted: ``(H, W)`` bool; true somewhere, and only on the silhouette.
         depth: ``(H, W)``, filled with metres along z where wanted, inf elsewhere.
     """
-    box = _bounds(wanted)
+    depth[:] = np.inf
+    room, seen = np.empty(wanted.shape, np.int32), np.empty(points.shape)
+    nearest_surface_in(points, faces, lens, wanted, _bounds(wanted), room, seen, depth)
+
+
+@compiled(makes_arrays=True)
+def nearest_surface_in(
+    points: Any, faces: Any, lens: Any, wanted: Any, box: Any, room: Any, seen: Any, depth: Any
+) -> None:
+    """:func:`nearest_surface` in a part of the picture.
+
+    Args:
+        points: ``(V, 3)`` vertices in the camera frame, metres.
+        faces: ``(F, 3)``, counter-clockwise seen from outside.
+        lens: The camera.
+        wanted: ``(H, W)`` bool; true somewhere within the box, and there only on the silhouette.
+        box: First row, row after the last, first column and column after the last.
+        room: ``(H, W)`` int32, scratch.
+        seen: ``(V, 3)``, scratch.
+        depth: ``(H, W)``, filled within the box.
+    """
     # Front faces beyond the near plane, less back faces: below zero where the ray begins inside a solid.
-    entered = np.zeros(wanted.shape if points[:, 2].min() <= lens.near else (0, 0), np.int32)
+    entered = room if points[:, 2].min() <= lens.near else room[:0]
+    entered[box[0] : box[1], box[2] : box[3]] = 0
     corners = np.empty((4, 3))
-    depth[:] = 0.0  # the inverse, until the end
+    depth[box[0] : box[1], box[2] : box[3]] = 0.0  # the inverse, until the end
+    for i in range(points.shape[0]):
+        _project(points[i, 0], points[i, 1], points[i, 2], lens, seen[i])
     for f in range(faces.shape[0]):
+        if _is_aside(points, seen, faces[f], lens, box):
+            continue
         count = _clip(points, faces[f], lens, corners)
         if count > 0:
             plane = _inverse_depth_plane(points, faces[f], lens)
             for k in range(2, count):
                 _fill(corners, k, plane, box, entered, depth)
-    for row in range(wanted.shape[0]):
-        for column in range(wanted.shape[1]):
+    for row in range(box[0], box[1]):
+        for column in range(box[2], box[3]):
             if not wanted[row, column]:
                 depth[row, column] = np.inf
             elif entered.size > 0 and entered[row, column] < 0:
@@ -219,6 +252,27 @@ def _bounds(wanted: Any) -> tuple[int, int, int, int]:
                 top, bottom = min(top, row), row + 1
                 left, right = min(left, column), max(right, column + 1)
     return top, bottom, left, right
+
+
+@compiled
+def place_points(link_transforms: Any, vertex_link: Any, vertices: Any, points: Any) -> None:
+    """Fill ``points (V, 3)``: vertices in the camera frame, each moved with its link ``(L, 4, 4)``."""
+    for v in range(vertices.shape[0]):
+        T = link_transforms[vertex_link[v]]
+        x, y, z = vertices[v, 0], vertices[v, 1], vertices[v, 2]
+        for k in range(3):
+            points[v, k] = T[k, 0] * x + T[k, 1] * y + T[k, 2] * z + T[k, 3]
+
+
+@compiled(inline="always", makes_arrays=True)
+def _is_aside(points: Any, seen: Any, face: Any, lens: Any, box: Any) -> Any:
+    """Whether a face that lies wholly beyond the near plane has no pixel in the box."""
+    i, j, k = face[0], face[1], face[2]
+    if not min(points[i, 2], points[j, 2], points[k, 2]) > lens.near:
+        return False
+    top, bottom = min(seen[i, 1], seen[j, 1], seen[k, 1]), max(seen[i, 1], seen[j, 1], seen[k, 1])
+    left, right = min(seen[i, 0], seen[j, 0], seen[k, 0]), max(seen[i, 0], seen[j, 0], seen[k, 0])
+    return bottom < box[0] or top > box[1] or right < box[2] or left > box[3]
 
 
 @compiled(inline="always", makes_arrays=True)

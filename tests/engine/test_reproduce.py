@@ -7,8 +7,11 @@ import json
 import shutil
 from importlib.util import find_spec
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
+import cv2
+import numpy as np
 import pytest
 import yaml
 from commandline import STRANGERS, surgbench
@@ -27,7 +30,9 @@ from surgbench.reproduce.results import Results
 from surgbench.reproduce.table import Definition
 from surgbench.task import find_task
 from surgbench.tasks.instrument.columns import PUBLISHED
+from surgbench.tasks.instrument.levels import curves
 from surgbench.tasks.instrument.page import markdown
+from surgbench.tasks.instrument.worst import worst_moments
 
 FRAMES = 12
 TABLE: dict[str, Any] = {
@@ -448,3 +453,52 @@ def test_without_matplotlib_one_line_says_so(monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     with pytest.raises(SurgbenchError, match=r"pip install 'surgbench\[plots\]'"):
         figures.check_matplotlib()
+
+
+# --- pictures
+
+
+@pytest.mark.slow
+@pytest.mark.extras
+def test_curves_over_levels_and_worst_moments(tmp_path: Path) -> None:
+    table: dict[str, Any] = {key: value for key, value in TABLE.items() if key not in ("figure", "published")}
+    rows = [{"label": name, "tracker": f"{STRANGERS}:{name}"} for name in ("Still", "Noisy")]
+    table["blocks"] = [
+        {
+            "name": name,
+            "heading": name,
+            "dataset": {"preset": "mini", "frames": FRAMES, "corruption": name},
+            "quick_sequences": ["000"],
+            "levels": {"corruption": level},
+            "rows": [{**row, "row_id": f"{name}-{row['label'].lower()}", "sequences": 1} for row in rows],
+        }
+        for name, level in (("none", 0.0), ("strong", 1.0))
+    ]
+    table["worst"] = {"block": "strong", "rows": ["strong-noisy", "strong-still"], "moments": 2}
+    (tmp_path / "levels.yaml").write_text(yaml.safe_dump(table), encoding="utf-8")
+    surgbench("reproduce", tmp_path / "levels.yaml", "--out", tmp_path, "--data", tmp_path / "data", "--jobs", 1)
+    folder = tmp_path / "levels"
+    results, definition = read_results(folder), load_table(str(tmp_path / "levels.yaml"))
+    found = curves(definition.table.blocks, results.rows)
+    assert {label: [level for level, _ in curve] for label, curve in found["corruption"].items()} == {
+        "Still": [0.0, 1.0],
+        "Noisy": [0.0, 1.0],
+    }
+    assert (found["corruption"]["Noisy"][1][1]["row_id"], len(found)) == ("strong-noisy", 1)
+    page = (folder / "leaderboard.md").read_text(encoding="utf-8")
+    if find_spec("matplotlib") is None:
+        assert "pictures" not in results.about
+        return
+    assert results.about["pictures"] == ["levels.png", "worst.png"]
+    for name in results.about["pictures"]:
+        assert f"({name})" in page
+        picture = cv2.imread(str(folder / name))
+        assert picture is not None
+        assert picture.std() > 10
+
+
+def test_worst_moments_lie_apart() -> None:
+    errors = np.zeros((300, 2))
+    errors[100, 1], errors[110, 0], errors[250, 0] = 0.03, 0.02, 0.01
+    record: Any = SimpleNamespace(errors={"tip_error_m": errors}, frames=SimpleNamespace(index=list(range(300))))
+    assert [(one.frame, one.tip_error_m) for one in worst_moments([record], 2)] == [(100, 0.03), (250, 0.01)]

@@ -37,8 +37,8 @@ def test_a_committed_table_is_written_as_it_was_read(name: str) -> None:
     folder = RESULTS / name
     results, sheet = read_results(folder), find_task(load_table(name).table.task).sheet
     for file, rows, fields in (
-        (LEADERBOARD_CSV, results.rows, sheet.leaderboard),
-        (SEQUENCES_CSV, results.sequences, sheet.sequences),
+        (LEADERBOARD_CSV, results.rows, sheet.leaderboard(results.rows)),
+        (SEQUENCES_CSV, results.sequences, sheet.sequences(results.sequences)),
     ):
         assert csv_text(to_frame(rows, fields)).encode() == (folder / file).read_bytes()
 

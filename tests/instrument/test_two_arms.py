@@ -9,10 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 from commandline import records, surgbench
-from small_dataset import make_pair
+from small_dataset import make_pair, states_of
 
+from surgbench import pair_metrics
+from surgbench.dataset.masks import encode_mask
 from surgbench.errors import InvalidAnswerError
 from surgbench.report.rows import read_rows
+from surgbench.tasks.instrument.format import observed_path
+from surgbench.tasks.instrument.pose_table import POSE_COLUMNS, pose_columns
 from surgbench.tasks.instrument.units import UnitData
 from surgbench.tasks.instrument.worker import check_confidence, check_lost
 
@@ -130,3 +134,110 @@ def test_confidence_and_lost_are_of_all_arms_or_of_each() -> None:
             check_confidence(wrong, 2, "it")
     with pytest.raises(InvalidAnswerError, match=r"'lost' of shape \(3,\)"):
         check_lost(np.zeros(3, dtype=bool), 2, "it")
+
+
+# --- whose track is whose
+
+
+def test_a_swap_lasts_and_hidden_frames_are_passed_over() -> None:
+    everywhere = np.ones(60, dtype=bool)
+    turned = np.zeros(60, dtype=bool)
+    turned[5:14] = True  # one too few
+    assert pair_metrics.swaps(turned, everywhere) == 0
+    turned[14] = True
+    assert pair_metrics.swaps(turned, everywhere) == 1
+    turned[30:50] = True
+    assert pair_metrics.swaps(turned, everywhere) == 2
+    counts = everywhere.copy()
+    counts[15:30] = False  # between the two nobody can tell: it is one
+    assert pair_metrics.swaps(turned, counts) == 1
+    assert pair_metrics.swaps(turned, ~everywhere) == 0
+    assert pair_metrics.swaps(turned[:0], everywhere[:0]) == 0
+
+
+def test_one_estimate_on_the_other_arm_is_no_exchange() -> None:
+    """Both on one arm: one has slipped; each a little nearer to the other: exchanged."""
+    truth = np.zeros((3, 2, 2, 3))
+    truth[:, 1, :, 0] = 0.04
+    estimate = truth.copy()
+    estimate[1, 0, :, 0] = 0.04
+    estimate[2, :, :, 0] = [[0.021, 0.021], [0.019, 0.019]]
+    estimate[2, 0] = estimate[2, 0, ::-1]  # jaws have no order
+    distances = pair_metrics.tip_distances(estimate, truth)
+    np.testing.assert_allclose(distances[2], [[0.021, 0.019], [0.019, 0.021]])
+    assert pair_metrics.exchanged(distances).tolist() == [False, False, True]
+
+
+def test_tracks_have_a_while_to_come_out_right() -> None:
+    away = np.zeros((100, 2), dtype=bool)
+    away[10:20, 1] = away[60:70, 0] = away[95:, 0] = True
+    turned = np.zeros(100, dtype=bool)
+    turned[20:49] = True
+    assert pair_metrics.right_way_round(turned, away).tolist() == [1.0, 1.0]  # the third one does not end
+    turned[49] = True
+    turned[90:] = True
+    assert pair_metrics.right_way_round(turned, away).tolist() == [0.0, 0.0]
+    assert pair_metrics.right_way_round(turned[:10], away[10:20]).size == 0
+
+
+EXCHANGING = """
+import numpy as np
+from surgbench import Estimate
+
+class Tracker:
+    name = "exchanging"
+
+    def reset(self, scene, state, rng):
+        pass
+
+    def step(self, observation):
+        start = observation.start
+        if observation.index >= 4:
+            start = np.concatenate([start[9:], start[:9]])
+        hidden = 6 <= observation.index < 8
+        return Estimate(start, confidence=np.array([0.9, 0.1]), lost=np.array([False, hidden]))
+"""
+
+
+def test_a_run_tells_swaps_and_what_was_said_of_hidden_arms(tmp_path: Path) -> None:
+    """The tracker starts each frame from the truth, and names the arms wrongly from the fifth frame on."""
+    (tmp_path / "exchanging.py").write_text(EXCHANGING)
+    hidden = range(5, 8)
+    make_pair(tmp_path / "data", sequences=1, frames=20, visible=BOTH, hidden=hidden)
+    surgbench("validate", tmp_path / "data")
+    run: tuple[Any, ...] = ("--tracker", f"{tmp_path / 'exchanging.py'}:Tracker", "--arms", "dual", "--filter", "truth")
+    surgbench("run", "--dataset", tmp_path / "data", *run, "--out", tmp_path / "runs")
+    (row,) = read_rows([tmp_path / "runs"])
+    assert (row["swaps"], row["overlaps"], row["right_way_round"]) == (1, 1, 0.0)
+    assert row["hidden_known"] == pytest.approx(2 / 3)
+    assert row["far_off_doubted"] == pytest.approx(0.5)  # of each frame the right arm alone
+    assert row["frames_to_recover"] == 12
+    assert row["tip_error_m"] == pytest.approx((row["tip_error_m_left"] + row["tip_error_m_right"]) / 2)
+    (record,) = records(tmp_path / "runs")
+    assert np.array(record["errors"]["mask_error_arms"])[:4].max() < 0.05 < record["errors"]["mask_error_arms"][4][0]
+    assert "left and right are exchanged" in record["hint"]
+
+
+@pytest.mark.parametrize(
+    ("how", "words"),
+    [("alike", "the same in all 4 frames"), ("gone", "right arm's own mask shows no"), ("turned", "other way round")],
+)
+def test_odd_masks_of_a_recording_are_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], how: str, words: str
+) -> None:
+    root = tmp_path / "data"
+    dataset = make_pair(root, truth=False, sequences=1)
+    for frame in range(4):
+        left, right = (dataset.sequence("000").mask(arm, frame) for arm in ("left", "right"))
+        pair = {"alike": (left, left), "gone": (left, left & False), "turned": (right, left)}[how]
+        for arm, mask in zip(("left", "right"), pair, strict=True):
+            (root / observed_path("000", arm, frame)).write_bytes(encode_mask(mask))
+    lines = ["sequence,arm,frame," + ",".join(POSE_COLUMNS)]
+    for arm in ("left", "right"):
+        poses = pose_columns(states_of(arm))
+        lines += [f"000,{arm},{frame}," + ",".join(map(repr, pose.tolist())) for frame, pose in enumerate(poses)]
+    (tmp_path / "poses.csv").write_text("\n".join(lines) + "\n")
+    surgbench("score", root, tmp_path / "poses.csv", "--name", "mine", "--arms", "dual", "--out", tmp_path / "runs")
+    assert words in capsys.readouterr().err
+    (row,) = read_rows([tmp_path / "runs"])
+    assert row["mask_error_arms"] is not None

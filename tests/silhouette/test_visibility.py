@@ -14,7 +14,7 @@ from support import resting_state, rigid_instrument
 from surgbench.camera import NEAR_M, Camera
 from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument, load_instrument
-from surgbench.silhouette import SilhouetteEvaluator
+from surgbench.silhouette import Reference, SilhouetteEvaluator, VisibleScorer
 from surgbench.silhouette.layout import Lens
 from surgbench.silhouette.visibility import VisibilityEvaluator, nearest_surface
 
@@ -230,3 +230,37 @@ def test_states_that_are_not_finite_or_of_another_size(small_camera: Camera) -> 
     assert np.isinf(visibility.depths_m(broken)).all()
     with pytest.raises(ValueError, match=r"\(18,\); got \(9,\)"):
         visibility.visible_masks(resting_state())
+
+
+@pytest.mark.slow
+@settings(max_examples=60)
+@given(left=driver_states, right=driver_states, alike=st.booleans())
+def test_scores_are_the_counts_of_the_visible_masks(
+    small_camera: Camera, left: FloatArray, right: FloatArray, alike: bool
+) -> None:
+    """Arms that overlap or not, are cut by the near plane, or lie in the same place; each against a mask of its own."""
+    states = np.array([np.concatenate(pair) for pair in ((left, right), (right, left), (left, left))])
+    states[1, 3:6] += 0.002 * alike
+    visibility, scorer = VisibilityEvaluator([DRIVER, DRIVER], small_camera), VisibleScorer([DRIVER] * 2, small_camera)
+    masks = visibility.silhouettes(states[0])
+    for _ in range(2):  # the scratch of one call is nothing to the next
+        score = scorer.score(states, [Reference(mask) for mask in masks])
+        for number, state in enumerate(states):
+            visible = visibility.visible_masks(state)
+            assert score.area[number].tolist() == visible.sum(axis=(1, 2)).tolist()
+            assert score.overlap[number].tolist() == (visible & masks).sum(axis=(1, 2)).tolist()
+            assert score.silhouette[number].tolist() == visibility.silhouettes(state).sum(axis=(1, 2)).tolist()
+
+
+def test_of_three_arms_each_hides_what_is_behind_it(small_camera: Camera) -> None:
+    states = np.concatenate([placed(0.002 * arm, 0, 0.13 - 0.01 * arm) for arm in range(3)])
+    ball = [rigid_instrument(trimesh.creation.icosphere(3, 0.01))] * 3
+    visibility, scorer = VisibilityEvaluator(ball, small_camera), VisibleScorer(ball, small_camera)
+    reference = Reference(np.ones((small_camera.height, small_camera.width), dtype=bool))
+    score = scorer.score([states], [reference] * 3)
+    visible = visibility.visible_masks(states).sum(axis=(1, 2))
+    assert score.area[0].tolist() == score.overlap[0].tolist() == visible.tolist()
+    assert visible[2] == score.silhouette[0, 2] > visible[1] > visible[0] > 0
+    assert scorer.score([np.append(states[:-1], np.nan)], [reference] * 3).area.tolist() == [[0, 0, 0]]
+    with pytest.raises(ValueError, match=r"\(N, 27\)"):
+        scorer.score([states[:18]], [reference] * 3)

@@ -39,9 +39,11 @@ def view_of(mask: Mask, arms: int = 1, instance_masks: tuple[Mask, ...] | None =
 
 
 def detect(view: View, small_camera: Camera) -> tuple[FloatArray | None, ...]:
-    source = CornersKeypoints()
-    source.reset(scene_of(small_camera))
-    observation = replace(observe(scene_of(small_camera), resting_state()), views=(view,))
+    source, arms = CornersKeypoints(), len(view.keypoints)
+    scene = scene_of(small_camera, arms)
+    source.reset(scene)
+    frame = observe(scene, np.tile(resting_state(), arms))
+    observation = replace(frame, views=(view,), start=np.zeros_like(frame.start))  # nothing is known yet
     found: tuple[FloatArray | None, ...] = source.detect(observation, view)
     return found
 

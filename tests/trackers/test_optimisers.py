@@ -14,7 +14,12 @@ import torch
 from surgbench.geometry import FloatArray
 from surgbench.trackers.optimisers.adam import Adam
 from surgbench.trackers.optimisers.cma import CMA
-from surgbench.trackers.optimisers.cma_settings import package_settings, released_settings, tutorial_settings
+from surgbench.trackers.optimisers.cma_settings import (
+    joint_settings,
+    package_settings,
+    released_settings,
+    tutorial_settings,
+)
 from surgbench.trackers.optimisers.xnes import XNES
 
 
@@ -94,7 +99,7 @@ class Released:
     The formulas are the package evotorch's; c_m is 2, c_mu four times its default, the best 15 move the mean.
     """
 
-    def __init__(self, mean: FloatArray, sigma: float, population: int) -> None:
+    def __init__(self, mean: FloatArray, sigma: float, population: int, covariance_rate: float = 4.0) -> None:
         d = self.d = len(mean)
         self.mean, self.sigma = mean.copy(), sigma
         self.C: FloatArray = np.eye(d)
@@ -109,7 +114,7 @@ class Released:
         self.damp = 1 + 2 * max(0.0, math.sqrt((self.mu_eff - 1) / (d + 1)) - 1) + self.c_sigma
         self.c_c = (4 + self.mu_eff / d) / (d + 4 + 2 * self.mu_eff / d)
         self.c_1 = 2 / ((d + 1.3) ** 2 + self.mu_eff)
-        self.c_mu = 4.0 * 2 * (0.25 + self.mu_eff - 2 + 1 / self.mu_eff) / ((d + 2) ** 2 + self.mu_eff)
+        self.c_mu = covariance_rate * 2 * (0.25 + self.mu_eff - 2 + 1 / self.mu_eff) / ((d + 2) ** 2 + self.mu_eff)
         scale = min(
             1 + self.c_1 / self.c_mu,
             1 + 2 * bad_eff / (self.mu_eff + 2),
@@ -155,6 +160,66 @@ def test_released_settings_are_the_released_search_step_by_step(loss: Callable[[
         ours.tell(samples, losses)
         np.testing.assert_allclose(ours.mean, theirs.mean, rtol=1e-9, atol=1e-9 * theirs.sigma)
         np.testing.assert_allclose(ours.covariance, theirs.C, rtol=0, atol=1e-9 * np.abs(theirs.C).max())
+        assert ours.sigma == pytest.approx(theirs.sigma, rel=1e-9)
+
+
+class Blocks:
+    """Eq. 16 in plain loops: one ranking, one step size and its path; a covariance for each block, rates of d = 9."""
+
+    def __init__(self, mean: FloatArray, sigma: float, population: int) -> None:
+        self.rates = Released(mean[:9], sigma, population)
+        self.mean, self.sigma, self.generation = mean.copy(), sigma, 0
+        self.C: list[FloatArray] = [np.eye(9), np.eye(9)]
+        self.p_sigma, self.p_c = np.zeros(18), np.zeros(18)
+
+    def tell(self, normals: FloatArray, losses: FloatArray) -> None:
+        rates = self.rates
+        self.generation += 1
+        z = normals[np.argsort(losses)]
+        roots = [np.linalg.cholesky(block) for block in self.C]
+        y = np.hstack([z[:, :9] @ roots[0].T, z[:, 9:] @ roots[1].T])
+        local, shaped = (sum(rates.weights[i] * steps[i] for i in range(15)) for steps in (z, y))
+        self.mean = self.mean + 2.0 * self.sigma * shaped
+        pull = math.sqrt(rates.c_sigma * (2 - rates.c_sigma) * rates.mu_eff)
+        self.p_sigma = (1 - rates.c_sigma) * self.p_sigma + pull * local
+        squared = self.p_sigma @ self.p_sigma / (1 - (1 - rates.c_sigma) ** (2 * self.generation))
+        rising = squared / 18 - 1 < 1 + 4 / 19
+        pull = math.sqrt(rates.c_c * (2 - rates.c_c) * rates.mu_eff)
+        self.p_c = (1 - rates.c_c) * self.p_c + (pull * shaped if rising else 0.0)
+        c_1a = rates.c_1 * (1 - (0 if rising else 1) * rates.c_c * (2 - rates.c_c))
+        for block, (a, b) in enumerate(((0, 9), (9, 18))):
+            C = (1 - c_1a - rates.c_mu * sum(rates.weights)) * self.C[block]
+            C = C + rates.c_1 * np.outer(self.p_c[a:b], self.p_c[a:b])
+            for i, weight in enumerate(rates.weights):
+                counted = weight if weight >= 0 else weight * 9 / (z[i, a:b] @ z[i, a:b])
+                C = C + rates.c_mu * counted * np.outer(y[i, a:b], y[i, a:b])
+            self.C[block] = C
+        expected = math.sqrt(18) * (1 - 1 / (4 * 18) + 1 / (21 * 18**2))
+        self.sigma *= math.exp(rates.c_sigma / rates.damp * (np.linalg.norm(self.p_sigma) / expected - 1))
+
+
+@pytest.mark.parametrize("population", [70, 200])  # bad samples weigh next to nothing, and something
+@pytest.mark.parametrize("loss", [ellipsoid, slope])
+def test_two_arms_are_one_search_in_blocks_step_by_step(
+    loss: Callable[[FloatArray], FloatArray], population: int
+) -> None:
+    rng = np.random.default_rng(5)
+    start = rng.normal(size=18)
+    settings = joint_settings(released_settings(9, population, covariance_rate=1.0 if population > 70 else 4.0), 18)
+    theirs, ours = Blocks(start, 0.7, population), CMA(start, 0.7, population, settings=settings, blocks=(9, 9))
+    if population > 70:  # with a raised c_mu there would be no negative weights
+        theirs.rates = Released(start[:9], 0.7, population, covariance_rate=1.0)
+        assert min(theirs.rates.weights) < -1e-3
+    for _ in range(6):
+        normals = rng.standard_normal((population, 18))
+        samples = ours.ask(normals)
+        losses = loss(samples)
+        theirs.tell(normals, losses)
+        ours.tell(samples, losses)
+        np.testing.assert_allclose(ours.mean, theirs.mean, rtol=1e-9, atol=1e-9 * theirs.sigma)
+        whole = np.zeros((18, 18))
+        whole[:9, :9], whole[9:, 9:] = theirs.C
+        np.testing.assert_allclose(ours.covariance, whole, rtol=0, atol=1e-9 * np.abs(whole).max())
         assert ours.sigma == pytest.approx(theirs.sigma, rel=1e-9)
 
 

@@ -99,7 +99,7 @@ def test_empty_and_full_masks_make_no_nan(make: Callable[[], Any], arms: int, sm
         mask = np.full_like(seen[0].mask, fill)
         estimate = tracker.step(replace(seen[0], views=(replace(seen[0].views[0], mask=mask),)))
         assert np.isfinite(estimate.state).all()
-        assert estimate.lost
+        assert np.all(estimate.lost)
 
 
 @pytest.mark.filterwarnings("error")

@@ -9,7 +9,7 @@ import numpy as np
 
 from surgbench.contract import Mask, Observation, Plugin, Scene, View
 from surgbench.geometry import FloatArray
-from surgbench.trackers.arm_masks import mask_per_arm
+from surgbench.trackers.keypoints.pairs import ArmTips
 
 # Those of the released code of Liang et al. (arXiv:2503.05953).
 QUALITY = 0.1
@@ -24,13 +24,12 @@ class CornersKeypoints(Plugin):
     summary: ClassVar[str] = "the mask's two strongest corners (OpenCV), tips or not"
 
     def reset(self, scene: Scene) -> None:
-        """Nothing to prepare."""
+        """Prepare to tell two arms apart."""
+        self._arms = ArmTips(scene)
 
     def detect(self, observation: Observation, view: View) -> tuple[FloatArray | None, ...]:
         """Two corners per arm; ``None`` where there are not two, and for both where the arms cannot be told apart."""
-        arms = len(view.keypoints)
-        masks = mask_per_arm(view, arms)
-        return (None,) * arms if masks is None else tuple(_corners(mask) for mask in masks)
+        return self._arms.find(observation, view, _corners)
 
 
 def _corners(mask: Mask) -> FloatArray | None:

@@ -12,7 +12,7 @@ from surgbench.contract import Observation, Plugin, Scene, View
 from surgbench.extras import missing
 from surgbench.files import sha256_file
 from surgbench.geometry import FloatArray
-from surgbench.trackers.arm_masks import mask_per_arm
+from surgbench.trackers.keypoints.pairs import ArmTips
 
 if TYPE_CHECKING:
     from surgbench.trackers.keypoints.heatmaps.detector import TipDetector
@@ -96,6 +96,7 @@ class ResNet18Keypoints(Plugin):
         from surgbench.trackers.keypoints.heatmaps.model import load_network
 
         config = self.config
+        self._arms = ArmTips(scene)
         if self._detector is None or scene.device != self._device:
             network, settings = load_network(config.path)
             self._device = scene.device
@@ -114,6 +115,4 @@ class ResNet18Keypoints(Plugin):
     def detect(self, observation: Observation, view: View) -> tuple[FloatArray | None, ...]:
         """Two tips per arm, or one; ``None`` where there is none, and for both where the arms cannot be told apart."""
         assert self._detector is not None, "reset comes first"
-        arms = len(view.keypoints)
-        masks = mask_per_arm(view, arms)
-        return (None,) * arms if masks is None else tuple(self._detector.detect(mask) for mask in masks)
+        return self._arms.find(observation, view, self._detector.detect)

@@ -22,7 +22,7 @@ class CMA:
         population: Samples per generation.
         settings: Weights and learning rates; those of the package ``cma`` unless told.
         blocks: Sizes of the diagonal blocks that the covariance is constrained to (Hu et al. 2026, eq. 16), ``(d,)``
-            unless told.
+            unless told. There is one ranking and one step size for all of them.
     """
 
     def __init__(
@@ -44,7 +44,8 @@ class CMA:
         self._path_sigma: FloatArray = np.zeros(d)
         self._path_c: FloatArray = np.zeros(d)
         self._generation = 0
-        self._block_mask = _block_mask(blocks or (d,))
+        sizes = blocks or (d,)
+        self._blocks = [slice(sum(sizes[:k]), sum(sizes[: k + 1])) for k in range(len(sizes))]
 
     def ask(self, normals: FloatArray) -> FloatArray:
         """Samples of the distribution, one for each of the ``(n, d)`` standard normal vectors."""
@@ -72,34 +73,31 @@ class CMA:
         settled = length / np.sqrt(1 - (1 - c_sigma) ** (2 * self._generation))
         rising = settled < use.longest_step_path
         self._path_c = (1 - c_c) * self._path_c + rising * np.sqrt(c_c * (2 - c_c) * use.effective) * step
-        rank_one = np.outer(self._path_c, self._path_c)
-        weights, total = self._shortened(steps)
-        rank_mu = (steps * weights[:, None]).T @ steps
         missing = 0.0 if rising else use.rank_one_rate * c_c * (2 - c_c)
-        kept = 1 + missing - use.rank_one_rate - use.rank_mu_rate * total
-        covariance = kept * self.covariance + use.rank_one_rate * rank_one + use.rank_mu_rate * rank_mu
-        self.covariance = np.where(self._block_mask, (covariance + covariance.T) / 2, 0.0)
-        self.sigma *= float(np.exp(min(1.0, (c_sigma / use.step_damping) * (length / use.expected_length - 1))))
+        kept = 1 + missing - use.rank_one_rate - use.rank_mu_rate * float(use.weights.sum())
+        for block in self._blocks:
+            own = steps[:, block]
+            rank_one = np.outer(self._path_c[block], self._path_c[block])
+            rank_mu = (own * self._shortened(steps, block)[:, None]).T @ own
+            before = self.covariance[block, block]
+            covariance = kept * before + use.rank_one_rate * rank_one + use.rank_mu_rate * rank_mu
+            self.covariance[block, block] = (covariance + covariance.T) / 2
+        self.sigma *= float(np.exp(min(1.0, float((c_sigma / use.step_damping) * (length / use.expected_length - 1)))))
         self._factor = _symmetric_root(self.covariance) if use.symmetric_root else _cholesky(self.covariance)
 
-    def _shortened(self, steps: FloatArray) -> tuple[FloatArray, float]:
-        """Weights of steps in the covariance, and the sum of the weights.
+    def _shortened(self, steps: FloatArray, block: slice) -> FloatArray:
+        """Weights of steps in a block of the covariance.
 
         A step of negative weight counts as if it were as long as an average one, whatever its length: so the
         covariance stays positive definite.
         """
         weights = self.settings.weights
         if self._good == len(weights):
-            return weights, float(weights.sum())
-        lengths = np.linalg.norm(np.linalg.solve(self._factor, steps[self._good :].T), axis=0)
-        bad = weights[self._good :] * len(self.mean) / (lengths + 1e-9) ** 2
-        return np.concatenate([weights[: self._good], bad]), float(weights.sum())
-
-
-def _block_mask(blocks: tuple[int, ...]) -> NDArray[np.bool_]:
-    owner = np.repeat(np.arange(len(blocks)), blocks)
-    mask: NDArray[np.bool_] = owner[:, None] == owner[None, :]
-    return mask
+            return weights
+        own = steps[self._good :, block]
+        lengths = np.linalg.norm(np.linalg.solve(self._factor[block, block], own.T), axis=0)
+        bad = weights[self._good :] * own.shape[1] / (lengths + 1e-9) ** 2
+        return np.concatenate([weights[: self._good], bad])
 
 
 def _cholesky(covariance: FloatArray) -> FloatArray:

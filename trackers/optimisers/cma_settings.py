@@ -5,7 +5,7 @@ They differ in more than the negative weights, see :func:`package_settings` and 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import gammaln
@@ -133,6 +133,25 @@ def released_settings(
         rank_one_rate=rank_one_rate,
         rank_mu_rate=rank_mu_rate,
         symmetric_root=False,
+    )
+
+
+def joint_settings(settings: CMASettings, size: int) -> CMASettings:
+    """Settings of one search over several blocks that each learn at their own rate (Hu et al. 2026, eq. 16).
+
+    Weights and rates stay those of one block. What the length of the path of the step size is held against is that of a
+    vector of all blocks, which the path is: the released code takes the length of one block's, so that its step size
+    grows by an eighth in a generation of chance.
+
+    Args:
+        settings: Of one block.
+        size: Components of a vector, of all blocks.
+    """
+    d = size
+    return replace(
+        settings,
+        expected_length=_expected_length(d),
+        longest_step_path=float(np.sqrt(d * (2 + 4 / (d + 1)))),
     )
 
 

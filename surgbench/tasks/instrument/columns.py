@@ -56,10 +56,12 @@ SURE = tuple(
     Column(key, name, "%", 1, 100.0)
     for key, name in zip(INTERVAL_COVERAGES, ("all", "rotation", "translation", "q1", "q2", "q3"), strict=True)
 )
+RECOVERY = Column("frames_to_recover", "frames to recover", "", 1)
+SWAPS = Column("swaps", "swaps")
 OUT_OF_VIEW = (
     Column("lost_precision", "precision of lost", "%", 1, 100.0),
     Column("lost_recall", "recall of lost", "%", 1, 100.0),
-    Column("frames_to_recover", "frames to recover", "", 1),
+    RECOVERY,
 )
 
 # Reproduced tables, beside published figures of as many digits.

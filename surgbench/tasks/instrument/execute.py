@@ -18,6 +18,7 @@ from surgbench.suite.running import Run
 from surgbench.suite.settings import Job, Plug
 from surgbench.tasks.instrument.dataset import InstrumentDataset, InstrumentUnit
 from surgbench.tasks.instrument.judge import frames_that_count, judged_columns
+from surgbench.tasks.instrument.pairs import OwnMasks, hidden, pair_errors
 from surgbench.tasks.instrument.plan import InstrumentSettings
 from surgbench.tasks.instrument.records import ANSWER_COLUMNS, ARM_COLUMNS, SHARES
 from surgbench.tasks.instrument.references import absent_from_masks, reference_errors
@@ -94,6 +95,7 @@ def execute(job: Job, dataset: InstrumentDataset, run: Run, *, waits: bool = Tru
     evaluator = SilhouetteEvaluator(data.instruments, data.camera)
     answers: list[Answer] = []
     mask_errors: list[tuple[float | None, float | None]] = []
+    own_masks = OwnMasks.of(data)
     status, error, trace, initialise_s = "ok", None, None, None
     try:
         with run.child(WORKER, settings.conditions.timeout_s) as child:
@@ -113,16 +115,20 @@ def execute(job: Job, dataset: InstrumentDataset, run: Run, *, waits: bool = Tru
                 answer: Answer = child.receive()[1]
                 answers.append(answer)
                 mask_errors.append(_mask_errors(evaluator, answer.state, mask, clean))
+                if own_masks is not None:
+                    own_masks.measure(frame, answer.state)
                 run.advance(1)
     except ChildProblemError as problem:
         status, error, trace = problem.status, f"frame {len(answers)}: {problem}", problem.traceback
+    hint = None if own_masks is None else own_masks.hint(data.unit.arms)
     return {
         "status": status,
         "error": error,
         "traceback": trace,
         "initialise_s": initialise_s,
         "frames": _frames(answers),
-        "errors": _errors(data, answers, mask_errors) | _judged(settings, data, answers, mask_errors),
+        "errors": _errors(data, answers, mask_errors, own_masks) | _judged(settings, data, answers, mask_errors),
+        **({} if hint is None else {"hint": hint}),
     }
 
 
@@ -171,7 +177,10 @@ def _frames(answers: list[Answer]) -> dict[str, list[Any]]:
 
 
 def _errors(
-    data: UnitData, answers: list[Answer], mask_errors: list[tuple[float | None, float | None]]
+    data: UnitData,
+    answers: list[Answer],
+    mask_errors: list[tuple[float | None, float | None]],
+    own_masks: OwnMasks | None,
 ) -> dict[str, list[Any] | None]:
     """Errors of all frames; ``None`` where there is no truth to hold them against."""
     errors: dict[str, list[Any] | None] = dict.fromkeys(
@@ -181,6 +190,9 @@ def _errors(
     states = np.array([answer.state for answer in answers]).reshape(shape)
     starts = np.array([answer.start for answer in answers]).reshape(shape)
     away = out_of_view(data, len(answers))
+    lost = lost_arms(answers, shape[1])
+    if own_masks is not None:
+        errors |= {name: _finite(values) for name, values in own_masks.errors(away).items()}
     if data.truth is not None:
         truth = data.truth[: len(answers)]
         per_arm = [
@@ -191,8 +203,13 @@ def _errors(
             values = np.stack([arm[name] for arm in per_arm], axis=1)
             errors[name] = _finite(np.where(away, np.nan, values))
         tip_errors = [arm["tip_error_m"] for arm in per_arm]
-        recovered = [metrics.frames_to_recover(*arm) for arm in zip(tip_errors, away.T, strict=True)]
+        gone = away | hidden(data, len(answers))
+        recovered = [metrics.frames_to_recover(*arm) for arm in zip(tip_errors, gone.T, strict=True)]
         errors["frames_to_recover"] = _finite(np.array(recovered))
+        if shape[1] == 2:
+            sure = np.array([answer.confidence_arms for answer in answers], dtype=np.float64).reshape(shape[:2])
+            found = pair_errors(data, states, np.stack(tip_errors, axis=1), lost, sure, away)
+            errors |= {name: _finite(values) for name, values in found.items()}
         places = np.where(away[..., None], np.nan, states[..., POSITION])
         scaled = [metrics.translation_error_scaled(places[:, arm], truth[:, arm, POSITION]) for arm in range(shape[1])]
         errors["translation_error_scaled_m"] = _finite(np.array(scaled))
@@ -201,7 +218,6 @@ def _errors(
         errors |= {name: _finite(np.where(away, np.nan, values)) for name, values in coverages.items()}
     else:
         errors |= {name: _finite(values) for name, values in reference_errors(data, states, away).items()}
-    lost = lost_arms(answers, shape[1])
     for name, share in (("lost_precision", metrics.lost_precision), ("lost_recall", metrics.lost_recall)):
         per_arm_shares = [share(*arm) for arm in zip(lost.T, away.T, strict=True)]
         errors[name] = _finite(per_arm_shares[0] if shape[1] == 1 else np.stack(per_arm_shares, axis=1))

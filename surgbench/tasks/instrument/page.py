@@ -14,6 +14,8 @@ from surgbench.reproduce.published import Published
 from surgbench.reproduce.results import Results
 from surgbench.reproduce.table import Block, Definition, Table
 from surgbench.tasks.instrument.columns import (
+    KEYPOINTS,
+    MARKED_TIPS,
     OUT_OF_VIEW,
     PAGE_ERRORS,
     PAGE_POSE,
@@ -21,9 +23,12 @@ from surgbench.tasks.instrument.columns import (
     PAGE_TIME,
     PAGE_TIME_P95,
     PUBLISHED,
+    READ_JOINTS,
     SURE,
     TIPS,
 )
+from surgbench.tasks.instrument.levels import LEVELS_PNG
+from surgbench.tasks.instrument.worst import WORST_PNG
 
 READING = (
     "Errors are means over sequences (each arm is one) ± their standard error, after the paper's rule for the 180° "
@@ -39,7 +44,8 @@ def markdown(definition: Definition, results: Results) -> str:
     """The whole page."""
     table, published = definition.table, definition.published
     source = "" if published is None else published.short
-    compared = {block.name: compare(block, results.rows, published, PUBLISHED) for block in table.blocks}
+    ours = [_as_published(row) for row in results.rows]
+    compared = {block.name: compare(block, ours, published, PUBLISHED) for block in table.blocks}
     parts = [f"# {table.title}"]
     if results.about["quick"]:
         parts.append(QUICK_WARNING)
@@ -49,6 +55,7 @@ def markdown(definition: Definition, results: Results) -> str:
     parts += [READING, _times(results.about, published)]
     if results.about["figure"]:
         parts.append(f"![Ground truth and estimates over time]({FIGURE_PNG})")
+    parts += [f"![{PICTURES[name]}]({name})" for name in results.about.get("pictures", ())]
     for block in table.blocks:
         rows = [row for row in results.rows if row["block"] == block.name]
         about_data = _dataset(block, results.about["datasets"][block.dataset.folder])
@@ -72,6 +79,11 @@ def markdown(definition: Definition, results: Results) -> str:
 FLOOR_NOTE = (
     "How many times the error of the floor row, which searches every frame from its true state: what the masks allow."
 )
+
+PICTURES = {
+    LEVELS_PNG: "Errors over the level of what makes it hard",
+    WORST_PNG: "The worst moments: where the tips were farthest from the truth",
+}
 
 SURE_PART = (
     "How sure they are",
@@ -114,6 +126,12 @@ def _summary(table: Table, compared: dict[str, list[Comparison]], source: str) -
     )
 
 
+def _as_published(row: Row) -> Row:
+    """The article's keypoint error is the sum over both tips, in recordings over those that somebody marked."""
+    marked = row.get(MARKED_TIPS.key)
+    return row if marked is None else {**row, KEYPOINTS.key: 2.0 * marked, f"{KEYPOINTS.key}_sem": None}
+
+
 def _accuracies(one: Comparison) -> list[Pair]:
     """The errors of a row that stands for a published one; none of any other row."""
     return [pair for pair in one.pairs if pair.measure != PAGE_TIME] if one.row.published is not None else []
@@ -146,6 +164,10 @@ def _times(about: dict[str, Any], published: Published | None) -> str:
 
 def _dataset(block: Block, dataset: dict[str, Any]) -> str:
     """What a reader needs to see whether a row is won by an easy dataset."""
+    hash_ = f"SHA-256 `{dataset['sha256'][:12]}…`"
+    if not dataset["difficulty"]:
+        recordings = "1 recording" if dataset["sequences"] == 1 else f"{dataset['sequences']} recordings"
+        return f"Dataset `{block.dataset.folder}`: {recordings} without truth, {dataset['frames']} frames, {hash_}."
     speeds = [
         f"{speed} sequences, an arm moves {1000 * values['translation_m']:.2f} mm, {values['rotation_rad']:.4f} rad "
         f"and {values['joints_rad']:.4f} rad per joint a frame in the mean, and its masks differ from the "
@@ -155,21 +177,21 @@ def _dataset(block: Block, dataset: dict[str, Any]) -> str:
         )  # nominal first, also as read from a file
     ]
     pairs = f"{dataset['sequences']} {'pair' if dataset['sequences'] == 1 else 'pairs'} of arms"
-    return (
-        f"Dataset `{block.dataset.folder}`: {pairs}, {dataset['frames']} frames, SHA-256 "
-        f"`{dataset['sha256'][:12]}…`. In {'; in '.join(speeds)}."
-    )
+    return f"Dataset `{block.dataset.folder}`: {pairs}, {dataset['frames']} frames, {hash_}. In {'; in '.join(speeds)}."
 
 
 def _block_table(rows: Sequence[Row]) -> str:
     partly = any(row["coverage"] < 1 for row in rows)
     scaled = [PAGE_SCALED] if any(row[PAGE_SCALED.key] is not None for row in rows) else []
     spreadless = (*scaled, PAGE_TIME, PAGE_TIME_P95)
-    headings = ["method", "row id", *(column.heading for column in (*PAGE_ERRORS, *spreadless))]
+    # Recordings have no truth, and the page no columns of what nobody knows.
+    known = [c for c in (*PAGE_ERRORS, MARKED_TIPS, *READ_JOINTS) if any(row.get(c.key) is not None for row in rows)]
+    errors = known or PAGE_ERRORS
+    headings = ["method", "row id", *(column.heading for column in (*errors, *spreadless))]
     lines = [headings + (["sequences × frames"] if partly else [])]
     for row in rows:
         cells = [escape(row["label"]), f"`{row['row_id']}`"]
-        cells += [column.with_spread(row[column.key], row[f"{column.key}_sem"]) for column in PAGE_ERRORS]
+        cells += [column.with_spread(row[column.key], row[f"{column.key}_sem"]) for column in errors]
         cells += [column.text(row[column.key]) for column in spreadless]
         if partly:
             frames = row["frames"] / row["sequences"] / row["repeats"]

@@ -24,6 +24,14 @@ REFERENCE_TIPS = "reference_tip_error_px"
 REFERENCE_JOINTS = ("reference_q1_error_rad", "reference_q2_error_rad", "reference_q3_error_rad")
 REFERENCE_ERRORS = (REFERENCE_TIPS, *REFERENCE_JOINTS)
 ABSENT = "absent"
+# Of two arms: how often the tracks exchanged their arms, and how often an arm was hidden and both were seen again ...
+SWAPS, OVERLAPS = "swaps", "overlaps"
+# ... and shares: of those times, out of which tracks came right; of hidden frames, those said to be lost or right; of
+# frames far off, those said to be lost or doubtful. What is seen of each arm against its own mask is an error.
+RIGHT_WAY_ROUND, HIDDEN_KNOWN, FAR_OFF_DOUBTED = "right_way_round", "hidden_known", "far_off_doubted"
+MASK_ARMS = "mask_error_arms"
+PAIR_COUNTS = (SWAPS, OVERLAPS)
+PAIR_ERRORS = (RIGHT_WAY_ROUND, HIDDEN_KNOWN, FAR_OFF_DOUBTED, MASK_ARMS)
 # What is kept of each answer of the child process, which has an attribute of each name.
 ANSWER_COLUMNS = (
     "start", "state", "confidence", "lost", "standard_deviations", "latency_ms", "latency_optimise_ms",
@@ -99,10 +107,10 @@ class InstrumentRecord(Record):
         references: By what each plug-in was asked for, by kind.
     """
 
-    whole: ClassVar[tuple[str, ...]] = (*PER_ARM, *JUDGED)
+    whole: ClassVar[tuple[str, ...]] = (*PER_ARM, *JUDGED, *PAIR_COUNTS, RIGHT_WAY_ROUND)
     error_names: ClassVar[tuple[str, ...]] = (
         *(*POSE_ERRORS, "mask_error", "mask_error_true", *PER_ARM, *JUDGED, *SHARES),
-        *(*REFERENCE_ERRORS, ABSENT),
+        *(*REFERENCE_ERRORS, ABSENT, *PAIR_COUNTS, *PAIR_ERRORS),
     )
 
     spec: InstrumentRecordSpec

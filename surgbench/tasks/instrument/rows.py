@@ -7,7 +7,17 @@ from surgbench.metrics import POSE_ERRORS
 from surgbench.report.field import count, flag, number, text
 from surgbench.report.row import COMMON_COLUMNS, Row, median, pooled
 from surgbench.report.summary import summarise
-from surgbench.tasks.instrument.records import ABSENT, JUDGED, PER_ARM, REFERENCE_ERRORS, SHARES, InstrumentRecord
+from surgbench.tasks.instrument.format import ARMS
+from surgbench.tasks.instrument.records import (
+    ABSENT,
+    JUDGED,
+    PAIR_COUNTS,
+    PAIR_ERRORS,
+    PER_ARM,
+    REFERENCE_ERRORS,
+    SHARES,
+    InstrumentRecord,
+)
 
 SETTING_COLUMNS = (
     *text("arms"),
@@ -25,15 +35,20 @@ INSTRUMENT_COLUMNS = (
     *count("lost_frames"),
     *number(*SHARES),
 )
+# Of two arms alone: each arm's own errors are beside those of both.
+ARM_ERRORS = tuple((f"{error}_{arm}", error, place) for error in POSE_ERRORS for place, arm in enumerate(ARMS))
+PAIR_COLUMNS = (
+    *text("masks"),
+    *count(*PAIR_COUNTS),
+    *number(*PAIR_ERRORS, *(name for name, _, _ in ARM_ERRORS)),
+)
 # Of recordings alone: rows on datasets with truth have none of these.
 RECORDING_COLUMNS = (
     *count("absent_frames"),
     *number(*(f"{error}{suffix}" for error in REFERENCE_ERRORS for suffix in ("", "_std", "_sem"))),
 )
 
-JUDGED_COLUMNS = number(*JUDGED)
-# Of two arms alone.
-PAIR_COLUMNS = text("masks")
+FURTHER_COLUMNS = (*RECORDING_COLUMNS, *number(*JUDGED), *PAIR_COLUMNS)
 
 
 def instrument_row(head: Row, records: list[InstrumentRecord]) -> Row:
@@ -63,7 +78,7 @@ def instrument_row(head: Row, records: list[InstrumentRecord]) -> Row:
         "level": spec.level,
     }
     if len(spec.arms) > 1:
-        row["masks"] = spec.masks
+        row |= {"masks": spec.masks} | _pair_columns(records)
     for error in ERRORS:
         summary = summarise(_by_sequence(records, error))
         row |= {error: summary.mean, f"{error}_std": summary.std, f"{error}_sem": summary.sem}
@@ -74,6 +89,20 @@ def instrument_row(head: Row, records: list[InstrumentRecord]) -> Row:
         row |= _recording_columns(records)
     judged = {name: summarise(_by_sequence(records, name)).mean for name in JUDGED}
     return row | {name: mean for name, mean in judged.items() if mean is not None}
+
+
+def _pair_columns(records: list[InstrumentRecord]) -> Row:
+    """What a row of two arms has besides, as far as it is known."""
+    row: Row = {
+        name: int(sum(record.errors[name].sum() for record in records if name in record.errors))
+        for name in PAIR_COUNTS
+        if any(name in record.errors for record in records)
+    }
+    values = {name: summarise(_by_sequence(records, name)).mean for name in PAIR_ERRORS}
+    for name, error, place in ARM_ERRORS:
+        own = [[errors[:, place] for errors in sequence] for sequence in _by_sequence(records, error)]
+        values[name] = summarise(own).mean
+    return row | {name: mean for name, mean in values.items() if mean is not None}
 
 
 def _recording_columns(records: list[InstrumentRecord]) -> Row:

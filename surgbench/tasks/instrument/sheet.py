@@ -8,17 +8,28 @@ from typing import Any
 
 from surgbench.report.figures import FIGURE_PNG
 from surgbench.report.row import Row
-from surgbench.reproduce.results import BlockWork
+from surgbench.reproduce.results import BlockWork, Results
 from surgbench.reproduce.sheet import Sheet
 from surgbench.reproduce.table import Definition
-from surgbench.tasks.instrument.columns import PUBLISHED
+from surgbench.tasks.instrument.columns import ABSENT_FRAMES, PUBLISHED
 from surgbench.tasks.instrument.dataset import InstrumentDataset
 from surgbench.tasks.instrument.difficulty import difficulty
 from surgbench.tasks.instrument.figure import draw
 from surgbench.tasks.instrument.fingerprint import sequence_head_sha256
+from surgbench.tasks.instrument.levels import LEVELS_PNG, draw_levels
 from surgbench.tasks.instrument.page import markdown
-from surgbench.tasks.instrument.records import PER_ARM, SHARES, InstrumentRecord
-from surgbench.tasks.instrument.rows import ERRORS, INSTRUMENT_COLUMNS
+from surgbench.tasks.instrument.records import (
+    ABSENT,
+    JUDGED,
+    PAIR_COUNTS,
+    PAIR_ERRORS,
+    PER_ARM,
+    REFERENCE_ERRORS,
+    SHARES,
+    InstrumentRecord,
+)
+from surgbench.tasks.instrument.rows import ERRORS, FURTHER_COLUMNS, INSTRUMENT_COLUMNS
+from surgbench.tasks.instrument.worst import WORST_PNG, draw_worst
 
 
 def _describe(dataset: InstrumentDataset, frames: int) -> dict[str, Any]:
@@ -38,17 +49,28 @@ def _traits(dataset: InstrumentDataset, sequence: str) -> Row:
 
 
 def _count(record: InstrumentRecord) -> Row:
-    return {"lost_frames": sum(record.frames.lost)}
+    counts: Row = {"lost_frames": sum(record.frames.lost)}
+    if ABSENT in record.errors:
+        counts[ABSENT_FRAMES.key] = int(record.errors[ABSENT].sum())
+    return counts | {name: int(record.errors[name].sum()) for name in PAIR_COUNTS if name in record.errors}
 
 
-def _draw(definition: Definition, blocks: Sequence[BlockWork], folder: Path) -> list[str]:
-    return [FIGURE_PNG] if draw(definition.table, blocks, folder, folder / FIGURE_PNG) else []
+def _draw(definition: Definition, blocks: Sequence[BlockWork], results: Results, folder: Path) -> list[str]:
+    table = definition.table
+    drawn = []
+    if table.figure is not None and draw(table, blocks, folder, folder / FIGURE_PNG):
+        drawn.append(FIGURE_PNG)
+    if draw_levels(table, results.rows, folder / LEVELS_PNG):
+        drawn.append(LEVELS_PNG)
+    if table.worst is not None and draw_worst(table, blocks, folder, folder / WORST_PNG):
+        drawn.append(WORST_PNG)
+    return drawn
 
 
 INSTRUMENT_SHEET = Sheet(
     columns=INSTRUMENT_COLUMNS,
     errors=(*ERRORS, *PER_ARM, *SHARES),
-    spreadless=(*PER_ARM, *SHARES),
+    spreadless=(*PER_ARM, *SHARES, *JUDGED, *PAIR_ERRORS),
     counts=("lost_frames",),
     traits=("speed",),
     no_difference={
@@ -69,4 +91,7 @@ INSTRUMENT_SHEET = Sheet(
     draw=_draw,
     estimates="state",
     measures=PUBLISHED,
+    further_columns=FURTHER_COLUMNS,
+    further_errors=(*REFERENCE_ERRORS, *JUDGED, *PAIR_ERRORS),
+    further_counts=(ABSENT_FRAMES.key, *PAIR_COUNTS),
 )

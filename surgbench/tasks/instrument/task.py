@@ -35,10 +35,21 @@ class InstrumentTask(Task):
     default: ClassVar[bool] = True
     made_by: ClassVar[tuple[str, ...]] = tuple(
         f"{__package__}.{name}"
-        for name in ("auxiliary", "dataset", "execute", "judge", "references", "tables", "tips", "units", "worker")
+        for name in [
+            "auxiliary",
+            "dataset",
+            "execute",
+            "judge",
+            "pairs",
+            "references",
+            "tables",
+            "tips",
+            "units",
+            "worker",
+        ]
     )
     first_check: ClassVar[str] = "plain sequence"
-    may_refuse: ClassVar[tuple[str, ...]] = ("readings", "kinematics", "two arms")
+    may_refuse: ClassVar[tuple[str, ...]] = ("readings", "kinematics", "two arms", "masks of arms", "crossing arms")
     aids: ClassVar[tuple[str, ...]] = ("kinematics",)
 
     @property
@@ -102,9 +113,9 @@ class InstrumentTask(Task):
     @property
     def further_columns(self) -> tuple[Field, ...]:
         """What recordings have in place of truth, what the readings of their arms say, and what pairs have."""
-        from surgbench.tasks.instrument.rows import JUDGED_COLUMNS, PAIR_COLUMNS, RECORDING_COLUMNS
+        from surgbench.tasks.instrument.rows import FURTHER_COLUMNS
 
-        return (*RECORDING_COLUMNS, *JUDGED_COLUMNS, *PAIR_COLUMNS)
+        return FURTHER_COLUMNS
 
     @property
     def shown(self) -> tuple[Column, ...]:

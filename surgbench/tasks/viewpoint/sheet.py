@@ -12,7 +12,7 @@ from surgbench.files import sha256_text
 from surgbench.records.reader import read_record
 from surgbench.report.figures import FIGURE_PNG
 from surgbench.report.row import Row
-from surgbench.reproduce.results import RECORDS
+from surgbench.reproduce.results import RECORDS, Results
 from surgbench.reproduce.sheet import Sheet
 from surgbench.tasks.viewpoint.figures import Line, draw_centroids, draw_paths, draw_timeline
 from surgbench.tasks.viewpoint.page import CENTROIDS_PNG, PATHS_PNG, page
@@ -50,9 +50,10 @@ def _count(record: ViewpointRecord) -> Row:
     return {**counted(record, np.array(record.frames.asked, dtype=bool))}
 
 
-def _draw(definition: Definition, blocks: Sequence[BlockWork], folder: Path) -> list[str]:
+def _draw(definition: Definition, blocks: Sequence[BlockWork], results: Results, folder: Path) -> list[str]:
     wanted = definition.table.figure
-    assert wanted is not None
+    if wanted is None:
+        return []
     work = next(work for work in blocks if work.block.name == wanted.block)
     dataset = cast("ViewpointDataset", work.dataset)
     by_id = {row.row.id: row for row in work.rows}

@@ -24,5 +24,7 @@ CHECKS: dict[str, Check] = {
     "readings": inputs.readings,
     "kinematics": inputs.kinematics,
     "two arms": inputs.two_arms,
+    "masks of arms": inputs.masks_of_arms,
+    "crossing arms": inputs.crossing_arms,
     "candidates": answers.candidates,
 }

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -13,8 +13,12 @@ from surgbench.contract import Mask, Observation, Scene
 from surgbench.errors import SurgbenchError
 from surgbench.randomness import generator
 from surgbench.silhouette import Reference
+from surgbench.state import POSITION, split_arms
 from surgbench.tasks.instrument.conformance.scenes import CAMERA, Play, evaluator, play_of
 from surgbench.tasks.instrument.conformance.session import Session, run_through
+
+# From this frame on one of two arms is gone.
+GONE = 3
 
 
 def _all_pixels(value: bool) -> Mask:
@@ -93,6 +97,51 @@ def two_arms(subject: Subject, alive: Alive) -> str:
     return f"{len(steps[0].state)} numbers"
 
 
+def masks_of_arms(subject: Subject, alive: Alive) -> str:
+    """A mask for each of two arms: in all frames or every other one, exchanged, the same for both, empty for one."""
+    play = play_of(subject, arms=2, instances=True)
+    nothing = _all_pixels(False)
+    ways: dict[str, Callable[[int, tuple[Mask, ...]], tuple[Mask, ...] | None]] = {
+        "in all frames": lambda index, masks: masks,
+        "in every other frame": lambda index, masks: None if index % 2 else masks,
+        "exchanged in some frames": lambda index, masks: masks[::-1] if index in (2, 3) else masks,
+        "the same for both arms": lambda index, masks: (masks[0] | masks[1],) * 2,
+        "empty for one arm": lambda index, masks: (masks[0], nothing) if index >= GONE else masks,
+    }
+    said = 0
+    for name, way in ways.items():
+        frames = [_with_instances(frame, way) for frame in play.observations]
+        try:
+            steps = run_through(subject.make(), replace(play, observations=tuple(frames)), alive)
+        except SurgbenchError as error:
+            raise SurgbenchError(f"{name}: {error}") from error
+        said = sum(bool(step.lost[1]) for step in steps[GONE:])
+    return f"says that the arm without a mask is lost in {said} of {len(play.observations) - GONE} frames"
+
+
+def _with_instances(frame: Observation, way: Callable[[int, tuple[Mask, ...]], tuple[Mask, ...] | None]) -> Observation:
+    view = frame.views[0]
+    assert view.instance_masks is not None
+    masks = way(frame.index, view.instance_masks)
+    gone = masks is not None and not masks[1].any()
+    # An arm that is gone is gone from the mask of both, and has no tips.
+    changed = replace(view, instance_masks=masks, mask=masks[0] if masks is not None and gone else view.mask)
+    return replace(frame, views=(replace(changed, keypoints=(view.tips[0], None)) if gone else changed,))
+
+
+def crossing_arms(subject: Subject, alive: Alive) -> str:
+    """One arm passes behind the other, in one mask of both and with a mask for each."""
+    words = []
+    for instances in (False, True):
+        play = play_of(subject, arms=2, crossing=True, instances=instances, frames=16)
+        steps = run_through(subject.make(), play, alive)
+        places = split_arms(np.array([step.state for step in steps]))[:, :, POSITION]
+        off_mm = 1e3 * np.linalg.norm(places - split_arms(play.truth)[:, :, POSITION], axis=-1)[-1]
+        said = ", ".join(f"{name} {off:.1f} mm off" for name, off in zip(("left", "right"), off_mm, strict=True))
+        words.append(f"{'a mask for each' if instances else 'one mask'}: {said}")
+    return "; ".join(words)
+
+
 def untouched(subject: Subject, alive: Alive) -> str:
     """Nothing is written into what is handed in."""
     play = play_of(subject, readings=True)
@@ -138,6 +187,8 @@ def _frame_arrays(observation: Observation | None) -> Iterator[tuple[str, NDArra
             yield f"observation.{name}", getattr(observation, name)
     view = observation.views[0]
     yield "the mask", view.mask
+    for arm, mask in enumerate(view.instance_masks or ()):
+        yield f"the mask of arm {arm}", mask
     yield "T_view_cam", view.T_view_cam
     for arm, tips in enumerate(view.tips):
         if tips is not None:

@@ -13,7 +13,7 @@ from surgbench.conformance.subject import Subject
 from surgbench.contract import Mask, Observation, Scene, View
 from surgbench.geometry import FloatArray, look_at_rotation
 from surgbench.instrument import Instrument, load_instrument
-from surgbench.silhouette import SilhouetteEvaluator
+from surgbench.silhouette import SilhouetteEvaluator, VisibilityEvaluator
 from surgbench.state import ANGLES, JOINTS, POSITION, split_arms
 
 FRAMES = 6
@@ -29,6 +29,9 @@ _ALONE = np.array([0.3, 0.4, 0.8, 0.0, 0.0, 0.13, 0.3, -0.2, 0.3])
 _ELSEWHERE = np.array([0.2, 2.0, -0.7, 0.01, 0.005, 0.14, -0.4, 0.3, 0.5])
 _LEFT, _RIGHT = _ALONE.copy(), _ALONE.copy()
 _LEFT[[2, 3]], _RIGHT[[2, 3]] = [0.8, -0.02], [-0.8, 0.025]
+X_LEFT, Z_RIGHT = 3, 14
+# How far the left arm is on its way at first, and how far it goes in a frame; how far behind it the right one is.
+_CROSSING_M, _BEHIND_M = (0.03, 0.0015), 0.02
 _MOTION_PER_FRAME = np.array([0.005, 0.01, 0.005, 4e-4, 3e-4, 2e-4, 0.02, 0.01, 0.0])
 
 
@@ -78,6 +81,8 @@ def make_play(
     kinematics: bool = False,
     keypoints: bool = True,
     elsewhere: bool = False,
+    instances: bool = False,
+    crossing: bool = False,
     frames: int = FRAMES,
 ) -> Play:
     """An instrument, or two, in slow steady motion.
@@ -89,6 +94,8 @@ def make_play(
             are none.
         keypoints: With the tips.
         elsewhere: Another sequence: one arm begins at another place.
+        instances: With a mask for each of two arms, of what is seen of it.
+        crossing: Two arms cross, the right one behind: at most a quarter of it is hidden.
         frames: How many.
 
     Returns:
@@ -96,6 +103,9 @@ def make_play(
     """
     first = np.concatenate([_LEFT, _RIGHT]) if arms == 2 else _ELSEWHERE if elsewhere else _ALONE
     truth = first + np.arange(frames)[:, None] * np.tile(_MOTION_PER_FRAME, arms)
+    if crossing:
+        truth[:, X_LEFT] += _CROSSING_M[0] + _CROSSING_M[1] * np.arange(frames)
+        truth[:, Z_RIGHT] += _BEHIND_M
     empty = np.zeros((CAMERA.height, CAMERA.width), dtype=bool)
     scene = Scene(
         instruments=(instrument(),) * arms,
@@ -106,6 +116,8 @@ def make_play(
         T_cam_base=_bases(arms) if kinematics else None,
     )
     observations = [_observe(scene, truth, frame, readings or kinematics, keypoints) for frame in range(frames)]
+    if instances:
+        observations = [_with_instances(frame, truth[frame.index]) for frame in observations]
     return Play(scene, tuple(observations), truth)
 
 
@@ -127,6 +139,11 @@ def _observe(scene: Scene, truth: FloatArray, frame: int, readings: bool, keypoi
         joints=(joints[0] if scene.arms == 1 else joints) if readings else None,
         kinematics=None if scene.T_cam_base is None else np.linalg.inv(scene.T_cam_base) @ _tool_poses(per_arm),
     )
+
+
+def _with_instances(frame: Observation, state: FloatArray) -> Observation:
+    masks = tuple(VisibilityEvaluator((instrument(), instrument()), CAMERA).visible_masks(state))
+    return replace(frame, views=(replace(frame.views[0], instance_masks=masks),))
 
 
 def _tool_poses(states: FloatArray) -> FloatArray:
