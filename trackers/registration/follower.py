@@ -51,8 +51,10 @@ BEST_UNEXPLAINED = 0.02  # what masks leave unexplained of a right state
 # Of one of two arms. Tips that are known no better make the estimate a lost one; and better than so nothing is hidden.
 # What is believed of something hidden is as it says, unlike what edges tell (STATED).
 LOST_M, HIDDEN_M = 0.005, 0.0025
+GONE_M = 0.02  # a hidden arm may be anywhere, and hides nothing of the other
 # What no frame tells of moves on for so many seconds only, and then at such speeds: hands go to and fro.
 HIDDEN_SETTLES_S = 0.3
+UNEXPLAINED_POWER = 3  # of what is explained, in its confidence
 TELLING_PX = 40.0  # of visible contour, below which no edge is missed
 TELLING_SHARE = 0.1  # of a silhouette, below which it is hidden
 
@@ -185,9 +187,11 @@ class Follower:
         if self._part:
             for hypothesis in self.hypotheses:
                 hypothesis.off_m = self._tips_off_m(hypothesis)
-            missing = best.off_m > LOST_M if best.hidden else lost
+            missing = best.off_m > GONE_M if best.hidden else lost
             lost = missing or best.off_m > LOST_M
-            confidence = (1.0 if best.hidden else best.iou) / (1.0 + (best.off_m / LOST_M) ** 2)
+            # What is wrong may overlap well: of a shaft that is in its place, and all else is not.
+            overlap = 1.0 if best.hidden else best.iou * min(best.explained, best.explained_mask) ** UNEXPLAINED_POWER
+            confidence = overlap / (1.0 + (best.off_m / LOST_M) ** 2)
         self.whereabouts.note(best.state, share, lost=missing, fits=self._fits(best))
         return Estimate(
             best.state, confidence=float(confidence), lost=lost, standard_deviations=self._stated(best.belief)

@@ -23,6 +23,7 @@ from surgbench.trackers.registration.proposals import Move, best_of_each, jump_c
 # What may have changed while nothing was seen, once it is put where the mask is.
 AWAY = np.array([0.15, 0.7, 0.15, 1.2e-2, 1.2e-2, 2.5e-2, 0.5, 0.5, 0.4])
 BELIEVED = 64  # states drawn as is believed, of an arm that was hidden
+LONG_UNFIT = 4  # frames in which no search helps, after which an arm is looked for as if it had been away
 LOOK_EVERY = 3  # frames
 LOOKS_BETTER = 0.85  # share of the loss that another place of a jaw has to have
 # Iterations, and from one contour point to the next: of all that a search has drawn and liked, and of the best of them.
@@ -58,6 +59,7 @@ class Seeker(Follower):
         )
         self._drawn = np.diag((STATE_SCALE / DRAWN) ** 2)
         self._pause = 0
+        self._unfit = 0  # frames in a row in which one of two arms did not fit
 
     def step(self, observation: Observation) -> Estimate:
         """Follow every hypothesis; search where the best leaves edges unexplained; report the best."""
@@ -82,11 +84,14 @@ class Seeker(Follower):
         seen = bool(observation.mask.any())
         fits = self._fits(best)
         share = share_of(observation.mask)
+        self._unfit = 0 if fits or best.hidden or not alone else self._unfit + 1
         if self.whereabouts.lost or (self.whereabouts.fresh and not fits):
             if options.samples and share >= OUT_OF_VIEW_SHARE and (not fits or self.whereabouts.unseen):
                 self._recover(best, observation)
         elif best.hidden or not alone:
             self._pause = 0
+        elif self._part and options.samples and self._unfit > LONG_UNFIT and self._unfit % LONG_UNFIT == 0:
+            self._recover(best, observation)
         elif seen and options.samples and not fits:
             if self._pause > 0:
                 self._pause -= 1
