@@ -18,11 +18,12 @@ from surgbench.trackers.registration.fit import Fit, Prior
 from surgbench.trackers.registration.follower import ARRIVING, DRAWN, HIDDEN_M, Follower, share_of
 from surgbench.trackers.registration.hypothesis import SAME, Hypothesis
 from surgbench.trackers.registration.options import HybridOptions
-from surgbench.trackers.registration.proposals import Move, best_of_each, jump_cost, propose, sweep_jaws
+from surgbench.trackers.registration.proposals import Move, best_of_each, jump_cost, propose, slide, sweep_jaws
 
 # What may have changed while nothing was seen, once it is put where the mask is.
 AWAY = np.array([0.15, 0.7, 0.15, 1.2e-2, 1.2e-2, 2.5e-2, 0.5, 0.5, 0.4])
-BELIEVED = 64  # states drawn as is believed, of an arm that was hidden
+# States drawn as is believed, and along the shaft, of an arm that was hidden.
+BELIEVED, SLID = 48, 144
 LONG_UNFIT = 4  # frames in which no search helps, after which an arm is looked for as if it had been away
 LOOK_EVERY = 3  # frames
 LOOKS_BETTER = 0.85  # share of the loss that another place of a jaw has to have
@@ -160,10 +161,13 @@ class Seeker(Follower):
             swept = sweep_jaws(centres, scene.joint_limits)
             states = np.concatenate([states, swept])
             moves = np.append(moves, np.full(len(swept), Move.SWEEP))
-        if self._part and self.hypotheses and self.hypotheses[0].off_m > HIDDEN_M:
-            believed = self.hypotheses[0].belief.draw(BELIEVED, self._rng)
-            states = np.concatenate([states, clip_joints(believed, scene.joint_limits)])
-            moves = np.append(moves, np.full(BELIEVED, Move.BELIEVED))
+        if self._part and self.hypotheses and (self.hypotheses[0].off_m > HIDDEN_M or self._unfit > 1):
+            more = [
+                self.hypotheses[0].belief.draw(BELIEVED, self._rng),
+                slide(centres, SLID, self._rng),
+            ]
+            states = np.concatenate([states, clip_joints(np.concatenate(more), scene.joint_limits)])
+            moves = np.append(moves, np.repeat([Move.BELIEVED, Move.SLIDE], [len(some) for some in more]))
         losses = self._objective(states)[0]
         order = best_of_each(losses, moves, options.refined)
         if options.generations:
