@@ -39,7 +39,8 @@ class Cutter:
         index: Of the view.
 
     Attributes:
-        exchanged: Whether the last frame's masks of single arms were taken the other way round.
+        told_apart: Whether the last frame had a mask of each arm.
+        exchanged: Whether those were taken the other way round.
     """
 
     def __init__(self, scene: Scene, index: int) -> None:
@@ -48,7 +49,7 @@ class Cutter:
         self._projector = KeypointProjector(scene.instruments, camera)
         self._order = Order(camera)
         self._mostly = 0.0  # below 0 where masks are the right way round, as a rule
-        self.exchanged = False
+        self.exchanged = self.told_apart = False
 
     def __call__(self, view: View, states: FloatArray, lost: Sequence[bool]) -> tuple[PartView, PartView]:
         """Each arm's part.
@@ -61,6 +62,7 @@ class Cutter:
         own = ChangeOfView(view.T_view_cam).states(states.reshape(-1)).reshape(2, -1)
         silhouettes = [one.mask(state) for one, state in zip(self._evaluators, own, strict=True)]
         apart = _told_apart(view)
+        self.told_apart = apart is not None
         if apart is None:
             self.exchanged = False
             parts = _of_union(view, silhouettes, lost)

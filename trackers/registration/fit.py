@@ -141,14 +141,17 @@ class ContourFit:
             own.begin(view, tips=tips)
         return fit, prior, first
 
-    def equations(self, fit: Fit, spacing_px: int) -> list[Equations]:
-        """Of every view, the offset of the first one's edges not eliminated."""
-        return [own.equations(fit.state, fit.shape, spacing_px, shared=k == 0) for k, own in enumerate(self._views)]
+    def equations(self, fit: Fit, spacing_px: int, *, shared: bool) -> list[Equations]:
+        """Of every view; with ``shared`` the offset of the first one's edges is not eliminated."""
+        return [
+            own.equations(fit.state, fit.shape, spacing_px, shared=shared and k == 0)
+            for k, own in enumerate(self._views)
+        ]
 
-    def follow(self, step: FloatArray, offset_px: float) -> None:
+    def follow(self, step: FloatArray, offset_px: float | None) -> None:
         """Adjust the views' own unknowns, after :meth:`equations`."""
         for k, own in enumerate(self._views):
-            own.follow(np.append(step, offset_px) if k == 0 else step)
+            own.follow(step if k or offset_px is None else np.append(step, offset_px))
 
     def learn(self, parts: Sequence[Equations], known: FloatArray) -> None:
         """Keep what the fit says of edges and of further views' poses, for the frames to come."""
@@ -180,8 +183,8 @@ class ContourFit:
 class JointFit:
     """Fits two arms to what one frame shows of each, by one normal system for both.
 
-    Unknown are both states, both shapes, and the offset that all edges of the reference view have in common: where one
-    arm is mostly hidden, it is the other that tells by how much masks are too large.
+    Unknown are both states, both shapes, and by how much masks are too large, which may be the same for both: then,
+    where one arm is mostly hidden, the other tells.
 
     Args:
         fits: Of each arm.
@@ -200,9 +203,11 @@ class JointFit:
         *,
         tips: Sequence[bool],
         learn: Sequence[bool],
+        shared: bool,
     ) -> list[Fit]:
         """As :class:`ContourFit`, of each arm what that takes: ``(9,)`` states, its part of the frame, its prior.
 
+        With ``shared`` edges of both are off by one and the same offset, as in one mask of both; else by one each.
         What a fit says of a frame's information of an arm allows for how well the other is known.
         """
         config = self._config
@@ -220,13 +225,13 @@ class JointFit:
         moving = list(range(len(ends)))
         for _ in range(config.iterations):
             for k in moving:
-                parts[k] = self._fits[k].equations(ends[k], config.spacing_px)
+                parts[k] = self._fits[k].equations(ends[k], config.spacing_px, shared=shared)
             information, pull, with_offset, offset_pull, pivot = _together(parts, places, 1.0 / config.offset_px**2)
             pull = pull + np.concatenate(
                 [fit.pull_of(prior, end) for fit, prior, end in zip(self._fits, known, ends, strict=True)]
             )
             step = np.linalg.solve(information + believed, pull)
-            offset_px = (offset_pull - with_offset @ step) / pivot
+            offset_px = (offset_pull - with_offset @ step) / pivot if shared else None
             still = list(moving)
             for k in moving:
                 self._fits[k].follow(step[places[k]], offset_px)
@@ -250,10 +255,10 @@ class JointFit:
 def _together(
     parts: Sequence[Sequence[Equations]], places: Sequence[slice], certainty: float
 ) -> tuple[FloatArray, FloatArray, FloatArray, float, float]:
-    """One system of all arms' equations, the offset that they share eliminated.
+    """One system of all arms' equations, the offset that they may share eliminated.
 
     Args:
-        parts: Of each arm, those of each view; the first has the shared offset last.
+        parts: Of each arm, those of each view; the first has the offset last where that is shared.
         places: Of each arm's unknowns.
         certainty: What is known of the offset before, 1/px².
 
@@ -263,7 +268,7 @@ def _together(
     size = places[-1].stop
     A, b = np.zeros((size + 1, size + 1)), np.zeros(size + 1)
     for arm, place in zip(parts, places, strict=True):
-        columns = np.append(np.arange(place.start, place.stop), size)
+        columns = np.append(np.arange(place.start, place.stop), size)[: len(arm[0].pull)]
         A[np.ix_(columns, columns)] += arm[0].information
         b[columns] += arm[0].pull
         for part in arm[1:]:

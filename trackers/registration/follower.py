@@ -93,7 +93,8 @@ class Follower:
         self.evaluator = SilhouetteEvaluator(scene.instruments, scene.views[0].camera)
         self.fit = ContourFit(scene, self.evaluator, STATE_SCALE, options.fit)
         self._jaws = JawJudge(scene.instruments, scene.views[0].camera)
-        self._first, self._last_s = True, 0.0  # when the last frame was
+        self._first = True
+        self._last_s: float | None = None  # when the last frame was
         self._step_s = scene.dt_s
         self.whereabouts = Whereabouts(state)
         faster = options.acceleration * (options.fast_acceleration if scene.speed == "fast" else 1.0)
@@ -109,7 +110,6 @@ class Follower:
         )
         belief.restart(state, FOUND)
         self.hypotheses = [Hypothesis(belief, np.array(state), 0.0)]
-        self._ever = False  # whether a frame has been predicted
 
     @property
     def best(self) -> Hypothesis:
@@ -123,8 +123,8 @@ class Follower:
 
     def predict(self, timestamp_s: float) -> None:
         """Advance all beliefs to a frame."""
-        self._first = not self._ever
-        if not self._first:
+        self._first = self._last_s is None
+        if self._last_s is not None:
             self._step_s = step_s(self._last_s, timestamp_s, self.scene.dt_s)
             for hypothesis in self.hypotheses:
                 if self.whereabouts.fresh:  # the jump back to where it is is no speed
@@ -132,7 +132,7 @@ class Follower:
                 if self._part and hypothesis.off_m > HIDDEN_M:
                     hypothesis.belief.settle(float(np.exp(-self._step_s / HIDDEN_SETTLES_S)))
                 hypothesis.belief.predict(self._step_s)
-        self._last_s, self._ever = timestamp_s, True
+        self._last_s = timestamp_s
 
     def expected(self, hypothesis: Hypothesis) -> FloatArray:
         """``(9,)`` where a story has the arm before the frame is seen."""

@@ -48,24 +48,23 @@ class Pair:
         for arm in arms:
             arm.predict(observation.timestamp_s)
         parts = self._cut(observation, np.stack([arm.expected(arm.hypotheses[0]) for arm in arms]))
-        asks = []
-        for arm, part in zip(arms, parts, strict=True):
-            asks.append(arm.ask(arm.hypotheses[0], part, part.start))
+        union = not self._cutters[0].told_apart
+        asks = [arm.ask(arm.hypotheses[0], part, None) for arm, part in zip(arms, parts, strict=True)]
         fits = self._fit(
             [ask.begin for ask in asks],
             parts,
             [ask.prior for ask in asks],
             tips=[ask.tips for ask in asks],
             learn=[ask.learn for ask in asks],
+            shared=union,
         )
         others = [
             [arm.fitted(arm.ask(hypothesis, part, None), part) for hypothesis in arm.hypotheses[1:]]
             for arm, part in zip(arms, parts, strict=True)
         ]
-        if observation.views[0].instance_masks is None:  # else what is cut hardly depends on where the arms are
+        if union:  # else what is cut hardly depends on where the arms are
             parts = self._cut(observation, np.stack([fit.state for fit in fits]))
         answers = []
-        union = observation.views[0].instance_masks is None
         lost = [arm.whereabouts.lost for arm in arms]
         for k, (arm, part, fit, more, before) in enumerate(zip(arms, parts, fits, others, last, strict=True)):
             arm.observe(part)
