@@ -24,6 +24,7 @@ from surgbench.trackers.registration.proposals import Move, best_of_each, jump_c
 AWAY = np.array([0.15, 0.7, 0.15, 1.2e-2, 1.2e-2, 2.5e-2, 0.5, 0.5, 0.4])
 # States drawn as is believed, and along the shaft, of an arm that was hidden.
 BELIEVED, SLID = 48, 144
+GLITCH = 3  # frames that do not fit, before which a hidden arm is not searched: a mask may err, and anything fits it
 LONG_UNFIT = 4  # frames in which no search helps, after which an arm is looked for as if it had been away
 LOOK_EVERY = 3  # frames
 LOOKS_BETTER = 0.85  # share of the loss that another place of a jaw has to have
@@ -89,7 +90,7 @@ class Seeker(Follower):
         if self.whereabouts.lost or (self.whereabouts.fresh and not fits):
             if options.samples and share >= OUT_OF_VIEW_SHARE and (not fits or self.whereabouts.unseen):
                 self._recover(best, observation)
-        elif best.hidden or not alone:
+        elif best.hidden or not alone or (best.off_m > HIDDEN_M and self._unfit < GLITCH):
             self._pause = 0
         elif self._part and options.samples and self._unfit > LONG_UNFIT and self._unfit % LONG_UNFIT == 0:
             self._recover(best, observation)
