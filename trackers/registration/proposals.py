@@ -17,7 +17,7 @@ from surgbench.state import ANGLES, BETA, JOINTS, POSITION, STATE_SIZE, JointLim
 NEAR = np.array([0.01, 0.15, 0.01, 2e-4, 2e-4, 1e-3, 0.1, 0.1, 0.1])
 WIDEST_ROLL_RAD = 1.6  # beyond a quarter turn the twin is nearer
 WIDEST_JAW_RAD = 1.0
-FARTHEST_M = 0.03  # along the shaft
+FARTHEST_M = 0.05  # along the shaft
 SWEPT = 16  # places of a jaw in a sweep
 # What a jump of each component counts as: beyond it, ever less for each further step.
 JUMP = np.array([0.03, 0.1, 0.03, 2e-3, 2e-3, 4e-3, 0.1, 0.1, 0.1])

@@ -23,7 +23,7 @@ from surgbench.trackers.registration.proposals import Move, best_of_each, jump_c
 # What may have changed while nothing was seen, once it is put where the mask is.
 AWAY = np.array([0.15, 0.7, 0.15, 1.2e-2, 1.2e-2, 2.5e-2, 0.5, 0.5, 0.4])
 # States drawn as is believed, and along the shaft, of an arm that was hidden.
-BELIEVED, SLID = 48, 144
+BELIEVED, SLID = 48, 240
 GLITCH = 3  # frames that do not fit, before which a hidden arm is not searched: a mask may err, and anything fits it
 LONG_UNFIT = 4  # frames in which no search helps, after which an arm is looked for as if it had been away
 LOOK_EVERY = 3  # frames
