@@ -50,7 +50,7 @@ def behind(front: FloatArray, other: FloatArray) -> FloatArray:
 def crossing() -> FloatArray:
     """``(frames, 18)``: the right arm goes behind the left one's shaft, stays, and comes back; both move a little."""
     ease = 0.5 - 0.5 * np.cos(np.pi * np.arange(1, IN + 1) / (IN + 1))
-    ways = np.concatenate([np.zeros(LEAD), ease, np.ones(HIDDEN), ease[::-1], np.zeros(2 * LEAD)])
+    ways = np.concatenate([np.zeros(LEAD), ease, np.ones(HIDDEN), ease[::-1], np.zeros(5 * LEAD)])
     left, right = apart()
     states = []
     for frame, way in enumerate(ways):
