@@ -55,6 +55,7 @@ GONE_M = 0.02  # a hidden arm may be anywhere, and hides nothing of the other
 # What no frame tells of moves on for so many seconds only, and then at such speeds: hands go to and fro.
 HIDDEN_SETTLES_S = 0.3
 UNEXPLAINED_POWER = 3  # of what is explained, in its confidence
+UNFIT = 0.5  # of the confidence, where something has slipped that is searched for
 TELLING_PX = 40.0  # of visible contour, below which no edge is missed
 TELLING_SHARE = 0.1  # of a silhouette, below which it is hidden
 
@@ -191,7 +192,7 @@ class Follower:
             lost = missing or best.off_m > LOST_M
             # What is wrong may overlap well: of a shaft that is in its place, and all else is not.
             overlap = 1.0 if best.hidden else best.iou * min(best.explained, best.explained_mask) ** UNEXPLAINED_POWER
-            confidence = overlap / (1.0 + (best.off_m / LOST_M) ** 2)
+            confidence = overlap / (1.0 + (best.off_m / LOST_M) ** 2) * (1.0 if self._fits(best) else UNFIT)
         self.whereabouts.note(best.state, share, lost=missing, fits=self._fits(best))
         return Estimate(
             best.state, confidence=float(confidence), lost=lost, standard_deviations=self._stated(best.belief)
