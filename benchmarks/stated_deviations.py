@@ -43,7 +43,7 @@ from surgbench.tasks.instrument.asked import InstrumentRow
 from surgbench.tasks.instrument.dataset import InstrumentDataset
 from surgbench.tasks.instrument.execute import out_of_view, unit_data
 from surgbench.tasks.instrument.in_process import answers
-from surgbench.trackers.hybrid import STATED
+from surgbench.trackers.registration.follower import STATED
 
 MEDIAN_SIGMAS = 0.67449  # half of a Gaussian lies within so many standard deviations
 

@@ -9,7 +9,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from surgbench.trackers.hybrid import STATED
+from surgbench.trackers.registration.follower import STATED
 
 SCRIPT = Path(__file__).parents[2] / "benchmarks" / "stated_deviations.py"
 FRAMES = 20_000

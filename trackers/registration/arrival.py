@@ -16,6 +16,7 @@ SLIDES_M = np.linspace(-0.03, 0.09, 21)  # along the shaft, inwards
 ROUNDS = 2
 TELLING_SHARE = 0.01  # of the image, beyond which what is seen tells all of the state
 STEADY = 3  # frames in a row that fit, and are telling, for it to have been found again
+FRESH = 10  # frames after which one that was found again is followed as if it had never been lost
 PATIENCE = 30  # frames after which what does not fit well is taken for all that there is: a recording never fits
 
 
@@ -36,7 +37,13 @@ class Whereabouts:
         self.sure: FloatArray = np.array(state)
         self.lost = self.unseen = self.doubted = False
         self._steady = 0  # frames in a row
+        self._since = FRESH  # frames since it was found again
         self._doubtful = 0  # frames since it fitted, without those in which it was lost
+
+    @property
+    def fresh(self) -> bool:
+        """Whether it is lost, or was found again so lately that how fast it moves is hardly known."""
+        return self._since < FRESH
 
     def note(self, state: FloatArray, share: float, *, lost: bool, fits: bool) -> None:
         """Take in a frame.
@@ -50,13 +57,15 @@ class Whereabouts:
         self.unseen = share < OUT_OF_VIEW_SHARE
         if lost:
             self.lost = self.doubted = True
-            self._steady = 0
+            self._steady = self._since = 0
             return
         # What has just come back shows so little that much fits it, and moves so fast that it is soon lost again.
         self._steady = self._steady + 1 if fits and share >= TELLING_SHARE else 0
         fits = fits and (not self.lost or self._steady >= STEADY)
         self._doubtful = 0 if fits else self._doubtful + 1
         self.doubted = 0 < self._doubtful <= PATIENCE
+        if not self.lost:
+            self._since += 1
         if not self.doubted:
             self.lost, self.sure = False, np.array(state)
 

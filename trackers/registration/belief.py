@@ -16,6 +16,7 @@ from surgbench.timing import carried_s
 from surgbench.trackers.registration.fit import Prior
 
 NO_SHAPE = np.zeros(0)
+FALLS = 2.0
 SHAPE_DRIFT = 0.001  # natural steps a frame: instrument and camera stay what they are
 
 
@@ -149,6 +150,30 @@ class MotionBelief:
         """Nothing was seen: no velocity is to carry the state away."""
         n = len(self._scale)
         self._mean[n : 2 * n] = 0.0
+
+    def slow(self, fastest: FloatArray) -> None:
+        """No velocity is larger than ``(n,)``, per s."""
+        n = len(self._scale)
+        most = fastest / self._scale
+        self._mean[n : 2 * n] = np.clip(self._mean[n : 2 * n], -most, most)
+
+    def draw(self, count: int, rng: np.random.Generator) -> FloatArray:
+        """``(count, n)`` states as likely as they are believed to be."""
+        root = np.linalg.cholesky(self.covariance)
+        return np.asarray(self.state + rng.standard_normal((count, len(root))) @ root.T * self._scale)
+
+    def settle(self, kept: float) -> None:
+        """Velocities fall to a share of what they are, and what is not known of them tends to that at the beginning.
+
+        Whether they fall so, sooner or later is as unknown, too: by ``FALLS`` times as much as they fall.
+        """
+        n = len(self._scale)
+        velocities = slice(n, 2 * n)
+        falls = FALLS * (1.0 - kept) * self._mean[velocities]
+        self._mean[velocities] *= kept
+        self._covariance[velocities] *= kept
+        self._covariance[:, velocities] *= kept
+        self._covariance[velocities, velocities] += np.diag((1.0 - kept**2) * self._velocity_variance + falls**2)
 
     def near(self, state: FloatArray) -> FloatArray:
         """The same state with each angle turned by full turns to lie nearest to the mean."""

@@ -18,6 +18,10 @@ from surgbench.contract import Mask
 from surgbench.geometry import FloatArray
 from surgbench.silhouette import ContourPoints
 
+# What a picture says of one arm at a pixel: seen, not there, or nothing to go by, for something may hide it.
+NOTHING, SEEN, HIDDEN = 0, 1, 2
+Codes = NDArray[np.uint8] | Mask
+
 _compiled = compiled(makes_arrays=True)
 
 
@@ -34,9 +38,9 @@ def _search(mask: Any, across: bool, line: int, at: float, outward: int, reach: 
             if min(inside, outside) < 0 or max(inside, outside) >= size:
                 continue
             if across:
-                edge = mask[inside, line] and not mask[outside, line]
+                edge = mask[inside, line] == SEEN and mask[outside, line] == NOTHING
             else:
-                edge = mask[line, inside] and not mask[line, outside]
+                edge = mask[line, inside] == SEEN and mask[line, outside] == NOTHING
             if edge:
                 offset = outward * (inside - at) + 0.5
                 if abs(offset) < abs(best):
@@ -57,12 +61,12 @@ def _find_edges(points: Any, normals: Any, mask: Any, reach: int, offsets: Any) 
         offsets[k] = _search(mask, across, line, at, outward, reach) * abs(normal)
 
 
-def find_edges(contour: ContourPoints, mask: Mask, reach_px: int) -> FloatArray:
+def find_edges(contour: ContourPoints, mask: Codes, reach_px: int) -> FloatArray:
     """How far the observed edge lies from each predicted contour point.
 
     Args:
         contour: K points of one state.
-        mask: ``(H, W)`` observed.
+        mask: ``(H, W)`` observed; or SEEN, NOTHING and HIDDEN, which has no edge with either.
         reach_px: How far along the row or column an edge is looked for.
 
     Returns:
@@ -179,7 +183,9 @@ class MissedEdge(NamedTuple):
     places_px: FloatArray
 
 
-def missed_edge(mask: Mask, silhouette: Mask, tolerance_px: int, wider_px: int) -> MissedEdge:
+def missed_edge(
+    mask: Mask, silhouette: Mask, tolerance_px: int, wider_px: int, hidden: Mask | None = None
+) -> MissedEdge:
     """Hold the edge of an observed mask against that of a silhouette. The image's border is no edge.
 
     Args:
@@ -187,6 +193,7 @@ def missed_edge(mask: Mask, silhouette: Mask, tolerance_px: int, wider_px: int) 
         silhouette: ``(H, W)`` predicted.
         tolerance_px: How near, in rows and columns.
         wider_px: How near for an edge not to be told with its place.
+        hidden: ``(H, W)`` where the mask says nothing: its edges with that are none.
     """
     left, top, width, height = cv2.boundingRect(mask.view(np.uint8))
     if not width:
@@ -197,7 +204,8 @@ def missed_edge(mask: Mask, silhouette: Mask, tolerance_px: int, wider_px: int) 
         slice(max(left - margin, 0), left + width + margin),
     )
     seen = np.ascontiguousarray(mask[around]).view(np.uint8)
-    edge = seen > cv2.erode(seen, np.ones((3, 3), np.uint8))
+    filled = seen if hidden is None else seen | hidden[around].view(np.uint8)
+    edge = seen > cv2.erode(filled, np.ones((3, 3), np.uint8))
     ours = np.ascontiguousarray(silhouette[around]).view(np.uint8)
     count = int(np.count_nonzero(edge))
     if not count:

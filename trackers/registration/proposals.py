@@ -10,13 +10,14 @@ from numpy.typing import NDArray
 
 from surgbench.camera import Camera
 from surgbench.contract import Mask
-from surgbench.geometry import FloatArray, wrap_angle
-from surgbench.state import BETA, JOINTS, POSITION, STATE_SIZE, JointLimits, split_arms
+from surgbench.geometry import FloatArray, look_at_rotation, wrap_angle
+from surgbench.state import ANGLES, BETA, JOINTS, POSITION, STATE_SIZE, JointLimits, split_arms
 
 # Spread of what is not drawn anew.
 NEAR = np.array([0.01, 0.15, 0.01, 2e-4, 2e-4, 1e-3, 0.1, 0.1, 0.1])
 WIDEST_ROLL_RAD = 1.6  # beyond a quarter turn the twin is nearer
 WIDEST_JAW_RAD = 1.0
+FARTHEST_M = 0.05  # along the shaft
 SWEPT = 16  # places of a jaw in a sweep
 # What a jump of each component counts as: beyond it, ever less for each further step.
 JUMP = np.array([0.03, 0.1, 0.03, 2e-3, 2e-3, 4e-3, 0.1, 0.1, 0.1])
@@ -31,6 +32,8 @@ class Move(IntEnum):
     BOTH = 3  # turned, and all joints anew
     NEAR = 4  # a little in everything
     SWEEP = 5  # one jaw exactly where it is, the other at every place in turn
+    BELIEVED = 6  # anything that is believed to be likely
+    SLIDE = 7  # along the shaft, and turned about it
 
 
 MOVES = (Move.TURN, Move.JAW, Move.TURN, Move.JOINTS, Move.JAW, Move.BOTH, Move.TURN, Move.JAW, Move.JOINTS, Move.NEAR)
@@ -104,6 +107,24 @@ def sweep_jaws(states: FloatArray, limits: JointLimits) -> FloatArray:
                 joints[:] = np.clip(joints, lower, upper)
                 swept.append(some)
     return np.concatenate(swept)
+
+
+def slide(states: FloatArray, count: int, rng: np.random.Generator) -> FloatArray:
+    """States that have moved along their shafts and turned about them, which is what a shaft tells nothing of.
+
+    Args:
+        states: ``(m, 9)`` of one arm.
+        count: How many to draw.
+        rng: The only source of randomness.
+
+    Returns:
+        ``(count, 9)``.
+    """
+    slid: FloatArray = np.resize(states, (count, STATE_SIZE))
+    ways = rng.uniform(-FARTHEST_M, FARTHEST_M, count)
+    slid[:, POSITION] += ways[:, None] * look_at_rotation(slid[:, ANGLES])[..., 2]
+    slid[:, BETA] += WIDEST_ROLL_RAD * rng.uniform(-1.0, 1.0, count)
+    return slid
 
 
 def best_of_each(losses: FloatArray, moves: NDArray[np.intp], count: int) -> NDArray[np.intp]:

@@ -23,6 +23,7 @@ from surgbench.trackers.registration.edges import (
     missed_lengths,
     normal_equations,
 )
+from surgbench.trackers.registration.part import PartView, shown_points
 from surgbench.trackers.registration.parts import Parts
 from surgbench.trackers.registration.shape import Shape
 
@@ -143,21 +144,29 @@ class ViewFit:
             T_view_cam = rigid_transform(rotation_from_vector(error[:3]), error[3:]) @ T_view_cam
         self._change = ChangeOfView(T_view_cam)
 
-    def equations(self, state: FloatArray, shape: FloatArray, spacing_px: int) -> Equations:
-        """Linearise at ``state`` ``(n,)`` and ``shape`` ``(m,)``."""
+    def equations(self, state: FloatArray, shape: FloatArray, spacing_px: int, *, shared: bool = False) -> Equations:
+        """Linearise at ``state`` ``(n,)`` and ``shape`` ``(m,)``.
+
+        With ``shared`` the offset, which edges of other arms have in common with these, is not eliminated: it is the
+        last unknown, of which nothing is known but what these edges say.
+        """
         config, n = self._config, self._size
         own = self._change.states(state)
         contour = self._evaluator.contour_points(own, spacing_px)
+        if isinstance(self._view, PartView):
+            contour = shown_points(contour, self._view.codes)
         grown = self._shape.jacobian(contour, own, self._evaluator.camera, reference=self._calibrated)
         contour = contour._replace(jacobian=self._jacobian(state, own, contour.jacobian, grown))
         A, b, explained_px, length_px = self._edges(contour, grown @ shape)
         self._add_tips(A, b, state, own)
+        self._eliminated = []
+        if shared:
+            return Equations(A, b, explained_px, length_px)
         A[-1, -1] += 1.0 / config.offset_px**2
         if not self._calibrated:
             mean, information = self._known
             A[n:-1, n:-1] += information
             b[n:-1] += information @ (mean - self._pose)
-        self._eliminated = []
         for k in range(len(b) - 1, n - 1, -1):
             self._eliminated.append((A[k, :k], b[k], A[k, k]))
             A, b = A[:k, :k] - np.outer(A[:k, k], A[k, :k]) / A[k, k], b[:k] - A[:k, k] * (b[k] / A[k, k])
@@ -176,7 +185,10 @@ class ViewFit:
         return missed
 
     def follow(self, step: FloatArray) -> None:
-        """Adjust the view's own unknowns to the ``(n + m,)`` step that all views together ask for."""
+        """Adjust the view's own unknowns to the ``(n + m,)`` step that all views together ask for.
+
+        After equations with a shared offset that is the step's last component.
+        """
         for row, right, pivot in reversed(self._eliminated):
             step = np.append(step, (right - row @ step) / pivot)
         self.offset_px = float(step[-1])
@@ -220,7 +232,8 @@ class ViewFit:
         ``grown_px``, ``(K,)``, is by how much the contour lies further out than the modelled one.
         """
         config = self._config
-        offsets = find_edges(contour, self._view.mask, config.reach_px) - grown_px
+        picture = self._view.codes if isinstance(self._view, PartView) else self._view.mask
+        offsets = find_edges(contour, picture, config.reach_px) - grown_px
         self._seen = contour, offsets
         if np.count_nonzero(~np.isnan(offsets)) < FEWEST_POINTS:
             size = len(self._scale) + 1
