@@ -50,8 +50,8 @@ def settings_hashes(data: Path) -> dict[str, str]:
 
 
 def _small(asked: DatasetRequest, data: Path) -> Path:
-    """A few frames of a block's dataset: enough to complete its rows."""
-    folder = data / asked.folder
+    """A few frames of a block's dataset, whatever is set in it: enough to complete its rows."""
+    folder = data / asked.model_copy(update={"set": {}}).folder
     options = ["--sequences", 1, "--frames", SAMPLES if asked.preset.startswith("wire") else FRAMES]
     for option, value in (("--seed", asked.seed), ("--corruption", asked.corruption)):
         options += [] if value is None else [option, value]

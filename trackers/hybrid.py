@@ -42,9 +42,11 @@ class HybridTracker(InstrumentTracker):
     def step(self, observation: Observation) -> Estimate:
         """Follow every hypothesis; search where the best leaves edges unexplained; report the best."""
         self._arms.trace = self.trace
-        return self._arms.step(observation)
+        estimate: Estimate = self._arms.step(observation)
+        return estimate
 
     @property
     def shape(self) -> FloatArray:
         """``(m,)`` what was learned so far of instruments and camera (:class:`Shape`), by the best story."""
-        return self._arms.shape
+        shape: FloatArray = self._arms.shape
+        return shape

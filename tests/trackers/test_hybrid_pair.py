@@ -148,8 +148,9 @@ def test_masks_that_tell_nothing_are_not_listened_to(crossed: tuple[Scene, Float
     np.testing.assert_array_equal(follow(scene, same, states, instances=True)[0], follow(scene, visible, states)[0])
     tracker = HybridTracker()
     tracker.reset(scene, states[0], np.random.default_rng(0))
-    for frame, masks in enumerate(visible):
-        view = replace(scene.views[0], mask=union[frame], instance_masks=(masks[0], np.zeros_like(masks[0])))
+    for frame in range(len(visible)):
+        one = visible[frame, 0]
+        view = replace(scene.views[0], mask=union[frame], instance_masks=(one, np.zeros_like(one)))
         answer = tracker.step(Observation(frame, frame * scene.dt_s, (view,), start=states[0]))
     assert not np.asarray(answer.lost).any()
     assert (tips_off_m(scene, answer.state[None], states[-1:]) < 1e-3).all()

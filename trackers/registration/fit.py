@@ -231,7 +231,7 @@ class JointFit:
                 [fit.pull_of(prior, end) for fit, prior, end in zip(self._fits, known, ends, strict=True)]
             )
             step = np.linalg.solve(information + believed, pull)
-            offset_px = (offset_pull - with_offset @ step) / pivot if shared else None
+            offset_px = float((offset_pull - with_offset @ step) / pivot) if shared else None
             still = list(moving)
             for k in moving:
                 self._fits[k].follow(step[places[k]], offset_px)

@@ -120,7 +120,8 @@ class Follower:
     @property
     def shape(self) -> FloatArray:
         """``(m,)`` what was learned so far of instrument and camera (:class:`Shape`), by the best story."""
-        return self.hypotheses[0].belief.shape
+        shape: FloatArray = self.hypotheses[0].belief.shape
+        return shape
 
     def predict(self, timestamp_s: float) -> None:
         """Advance all beliefs to a frame."""
@@ -209,7 +210,8 @@ class Follower:
     def _fits(self, best: Hypothesis) -> bool:
         """Whether nothing has slipped that would be worth a search."""
         options = self.options
-        return min(best.explained, best.explained_mask) >= options.explained and best.missed_jaws <= options.jaws
+        explained = min(best.explained, best.explained_mask)
+        return bool(explained >= options.explained and best.missed_jaws <= options.jaws)
 
     def _stated(self, belief: MotionBelief) -> FloatArray:
         """What the estimate is expected to be off by, ``(9,)`` rad and m."""
@@ -241,7 +243,7 @@ class Follower:
         unexplained = 1.0 - (hypothesis.explained + hypothesis.explained_mask) / 2.0
         whole = float(np.log(unexplained + BEST_UNEXPLAINED))
         jaws = float(np.log(hypothesis.missed_jaws + BEST_JAWS))
-        return self.options.trust * whole + self.options.trust_jaws * jaws
+        return float(self.options.trust * whole + self.options.trust_jaws * jaws)
 
     def _adopt(self, found: Hypothesis, fit: Fit, best: Hypothesis) -> bool:
         """Follow a story beside the best one, unless it is far worse or one that is followed already.

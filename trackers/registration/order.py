@@ -70,7 +70,7 @@ class Order:
         rows, columns = np.nonzero(evidence.any(axis=0))
         counts = evidence[:2, rows, columns]
         if not any(lost):
-            centres = (np.stack([columns, rows], axis=1) + 0.5) * CELL_PX
+            centres = (np.stack([columns, rows], axis=1).astype(np.float64) + 0.5) * CELL_PX
             nearer_m = self._depths_m(states[1], centres) - self._depths_m(states[0], centres)
             belief = CLEAR_PX * np.sign(nearer_m) * (nearer_m / CLEAR_M) ** 2
             counts += np.maximum(np.stack([belief, -belief]), 0.0)

@@ -72,7 +72,8 @@ class Seeker(Follower):
             ask = self.ask(hypothesis, observation, observation.start if k == 0 else None)
             self.take(hypothesis, self.fitted(ask, observation), observation)
         self.look(last, observation)
-        return self.answer(observation)
+        estimate: Estimate = self.answer(observation)
+        return estimate
 
     def look(self, last: FloatArray, observation: Observation, *, alone: bool = True) -> None:
         """Look elsewhere, where that is called for.
