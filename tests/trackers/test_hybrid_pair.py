@@ -143,7 +143,7 @@ def test_exchanged_masks_are_exchanged_back(crossed: tuple[Scene, FloatArray, ND
 def test_masks_that_tell_nothing_are_not_listened_to(crossed: tuple[Scene, FloatArray, NDArray[np.bool_]]) -> None:
     """Two that are the same are no more than the union; of one alone the rest of the union is the other's."""
     scene, states, visible = (crossed[0], crossed[1][: LEAD + 4], crossed[2][: LEAD + 4])
-    union = visible.any(axis=1)
+    union: NDArray[np.bool_] = np.asarray(visible.any(axis=1))
     same = np.stack([union, union], axis=1)
     np.testing.assert_array_equal(follow(scene, same, states, instances=True)[0], follow(scene, visible, states)[0])
     tracker = HybridTracker()
