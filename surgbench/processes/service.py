@@ -70,7 +70,7 @@ def serve(connection: Connection, answer: Answer) -> None:
     while True:
         try:
             message = connection.recv()
-        except EOFError:
+        except (EOFError, OSError):  # the latter where the parent was killed before it had read everything
             return
         try:
             connection.send(calibrate() if _asks_to_calibrate(message) else answer(tell, *message))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from multiprocessing import Pipe
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from commandline import wait_until
 from surgbench.processes import reference_work
 from surgbench.processes.child import Child, ChildProblemError
 from surgbench.processes.reference import REFERENCE_MS
+from surgbench.processes.service import serve
 from surgbench.suite.running import Run
 
 # Any module that serves its parent; it says which threads its libraries would use.
@@ -107,6 +109,13 @@ def answer(tell, kind):
 if __name__ == "__main__":
     serve_parent(answer)
 """
+
+
+def test_a_parent_that_is_killed_with_words_unread_is_no_error() -> None:
+    ours, theirs = Pipe()
+    theirs.send("nobody reads this")
+    ours.close()
+    serve(theirs, lambda tell, *message: ("never",))
 
 
 @pytest.fixture
