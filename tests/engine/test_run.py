@@ -24,7 +24,16 @@ from surgbench.suite.plan import complete, jobs
 from surgbench.tasks.instrument.asked import InstrumentRow
 from surgbench.tasks.instrument.dataset import InstrumentDataset
 from surgbench.tasks.instrument.in_process import answers
-from surgbench.tasks.instrument.records import ABSENT, JUDGED, REFERENCE_ERRORS, InstrumentFrames, InstrumentRecord
+from surgbench.tasks.instrument.records import (
+    ABSENT,
+    ARM_COLUMNS,
+    JUDGED,
+    PAIR_COUNTS,
+    PAIR_ERRORS,
+    REFERENCE_ERRORS,
+    InstrumentFrames,
+    InstrumentRecord,
+)
 from surgbench.tasks.instrument.replay import replay_traces
 
 FRAMES = 4
@@ -66,9 +75,10 @@ def test_a_record_holds_what_its_model_declares(dataset: Path, tmp_path: Path) -
     surgbench(*RUN, "--dataset", dataset, "--tracker", f"{STRANGERS}:Still", "--out", tmp_path)
     for record in records(tmp_path):
         # Old versions rendered masks, and said how long that took.
-        assert set(record["frames"]) == set(InstrumentFrames.model_fields) - {"latency_masks_ms"}
-        # What is said of recordings, which have no truth, is not said where there is one.
-        assert set(record["errors"]) == set(InstrumentRecord.error_names) - {*JUDGED, *REFERENCE_ERRORS, ABSENT}
+        assert set(record["frames"]) == set(InstrumentFrames.model_fields) - {"latency_masks_ms", *ARM_COLUMNS}
+        # What is said of recordings, which have no truth, or of pairs, is not said where there is one arm with truth.
+        elsewhere = {*JUDGED, *REFERENCE_ERRORS, ABSENT, *PAIR_COUNTS, *PAIR_ERRORS}
+        assert set(record["errors"]) == set(InstrumentRecord.error_names) - elsewhere
 
 
 @pytest.mark.slow

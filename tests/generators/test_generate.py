@@ -666,9 +666,8 @@ def test_a_finished_dataset_that_lost_a_file_is_not_complete(made: Path, tmp_pat
 
 
 def test_one_pair_is_said_in_the_singular(tmp_path: Path) -> None:
-    said: list[str] = []
-    resumable._check_disk(plan_dataset(FEW.model_copy(update={"pairs": 1})), tmp_path, 0.0, said.append)
-    assert said[0].startswith("few: 1 pair of trajectories, 3 frames, ")
+    said = resumable._check_disk(plan_dataset(FEW.model_copy(update={"pairs": 1})), tmp_path, 0.0)
+    assert said.startswith("few: 1 pair of trajectories, 3 frames, ")
 
 
 def refused(plan: Preset, out: Path) -> str:

@@ -398,8 +398,9 @@ def test_masks_that_show_no_instrument_have_no_tips(source: ResNet18Keypoints, m
     assert detect(source, mask) == (None,)
 
 
-def test_each_arm_is_looked_at_in_its_own_part(source: ResNet18Keypoints, camera: Camera) -> None:
-    scene = scene_of(camera, arms=2)
+def test_each_arm_is_looked_at_in_its_own_part(camera: Camera) -> None:
+    scene, source = scene_of(camera, arms=2), ResNet18Keypoints()
+    source.reset(scene)
     left, right = resting_state(), resting_state()
     left[[2, 3]], right[[2, 3]] = [0.8, -0.025], [-0.8, 0.04]
     frame = observe(scene, np.concatenate([left, right]))
