@@ -104,14 +104,8 @@ class _Judge:
         shrink = max(1, round(camera.width / WIDTH))
         width, height = camera.width // shrink, camera.height // shrink
         self._whole = (height * shrink, width * shrink)  # a rest of columns and rows is cut off
-        self._camera = Camera(
-            width=width,
-            height=height,
-            fx=camera.fx / shrink,
-            fy=camera.fy / shrink,
-            cx=(camera.cx + 0.5) / shrink - 0.5,
-            cy=(camera.cy + 0.5) / shrink - 0.5,
-        )
+        cut = camera.model_copy(update={"width": width * shrink, "height": height * shrink})
+        self._camera = cut.resized(width, height)
         self._initialiser: Initialiser = create(find("initialiser", INITIALISER), SEARCH)
         self._evaluator = SilhouetteEvaluator((instrument,), self._camera)
 
