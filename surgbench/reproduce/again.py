@@ -7,6 +7,7 @@ from typing import Any
 
 from surgbench.errors import ConfigError, DatasetError, unknown_name
 from surgbench.report.row import Row
+from surgbench.reproduce.check import first_sha256
 from surgbench.reproduce.results import Results
 from surgbench.reproduce.table import Definition, Table
 
@@ -43,7 +44,7 @@ def merged(definition: Definition, before: Results, again: Results) -> Results:
     for folder, dataset in again.about["datasets"].items():
         there = before.about["datasets"].get(folder, dataset)
         # Another processor rounds the numbers of a table otherwise, and makes the same masks.
-        if there["sha256"] != dataset["sha256"] and there["first_sha256"] != dataset["first_sha256"]:
+        if there["sha256"] != dataset["sha256"] and first_sha256(there) != first_sha256(dataset):
             raise DatasetError(
                 f"dataset {folder} is not the one that the table's other rows were run on; run the whole table again"
             )
