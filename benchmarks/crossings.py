@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from surgbench.dataset.masks import encode_image
 from surgbench.dataset.open import open_as
 from surgbench.geometry import FloatArray
+from surgbench.pair_metrics import HIDDEN_SHARE, stretches
 from surgbench.records.reader import read_records
 from surgbench.report.drawing import below, beside, draw_contours, save_png, scaled, side_label, write_note
 from surgbench.silhouette import VisibilityEvaluator
@@ -27,7 +28,6 @@ from surgbench.tasks.instrument.dataset import InstrumentDataset, Sequence
 from surgbench.tasks.instrument.format import Arm
 from surgbench.tasks.instrument.records import InstrumentRecord
 
-HIDDEN = 0.1
 LEFT, RIGHT, REST, BACKGROUND = (240, 160, 40), (40, 120, 255), (110, 110, 110), (20, 20, 20)
 OUTLINES = (255, 255, 255), (250, 235, 80)
 ROWS, AROUND_FRAMES = 5, 20
@@ -35,10 +35,8 @@ ROWS, AROUND_FRAMES = 5, 20
 
 def events(sequence: Sequence, arm: Arm) -> list[tuple[int, int]]:
     """First frames of a sequence's events, and how many each has."""
-    hidden = (_shares(sequence, arm)["tool_visible"] <= HIDDEN).astype(int)
-    edges = np.diff(np.concatenate([[0], hidden, [0]]))
-    starts, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
-    return [(int(start), int(end - start)) for start, end in zip(starts, ends, strict=True)]
+    hidden = _shares(sequence, arm)["tool_visible"] <= HIDDEN_SHARE
+    return [(first, last - first) for first, last in stretches(hidden)]
 
 
 def _shares(sequence: Sequence, arm: Arm) -> dict[str, FloatArray]:

@@ -85,7 +85,7 @@ def swaps(exchanged: ArrayLike, counts: ArrayLike) -> int:
         1
     """
     seen = np.asarray(exchanged, dtype=bool)[np.asarray(counts, dtype=bool)]
-    return int(sum(last - first >= EXCHANGED_FRAMES for first, last in _stretches(seen)))
+    return int(sum(last - first >= EXCHANGED_FRAMES for first, last in stretches(seen)))
 
 
 def right_way_round(exchanged: ArrayLike, away: ArrayLike) -> FloatArray:
@@ -113,9 +113,9 @@ def right_way_round(exchanged: ArrayLike, away: ArrayLike) -> FloatArray:
     """
     turned = np.asarray(exchanged, dtype=bool)
     gone: NDArray[np.bool_] = np.logical_or.reduce(np.asarray(away, dtype=bool), axis=1)
-    found, stretches = [], _stretches(gone)
-    for place, (first, last) in enumerate(stretches):
-        until = stretches[place + 1][0] if place + 1 < len(stretches) else len(gone)
+    found, away_in = [], stretches(gone)
+    for place, (first, last) in enumerate(away_in):
+        until = away_in[place + 1][0] if place + 1 < len(away_in) else len(gone)
         if first > 0 and last < until:
             found.append(not turned[min(last + SETTLED_FRAMES, until) - 1])
     return np.array(found, dtype=np.float64)
@@ -166,7 +166,7 @@ def far_off_doubted(tip_errors: ArrayLike, confidence: ArrayLike, lost: ArrayLik
     return np.where(far, doubted.astype(np.float64), np.nan)
 
 
-def _stretches(values: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """First frame of each stretch of true values, and the frame after its last."""
+def stretches(values: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """First frame of each stretch of true values ``(T,)``, and the frame after its last."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], values, [False]]).astype(np.int8)))
     return [(int(first), int(last)) for first, last in edges.reshape(-1, 2)]

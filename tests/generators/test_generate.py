@@ -262,6 +262,7 @@ def test_every_preset_loads() -> None:
         "mini",
         "mismatch",
         "occlusion",
+        "occlusion-long",
         "occlusion-rcm",
         "paper",
         "paper-dual",

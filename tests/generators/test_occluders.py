@@ -89,7 +89,7 @@ def test_arms_outside_are_drawn_back_by_as_much_as_asked(states: FloatArray) -> 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "frames"), [("occlusion", 260), ("occlusion-rcm", 120)])
+@pytest.mark.parametrize(("name", "frames"), [("occlusion", 260), ("occlusion-long", 260), ("occlusion-rcm", 120)])
 def test_arms_cross_clear_of_each_other_and_hide_each_others_jaws(name: str, frames: int) -> None:
     preset = load_preset(name)
     motion = make_motion(preset, DRIVER, "fast", frames, generator(test="crossing"))
