@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surgbench import metrics, pair_metrics
-from surgbench.contract import Mask
+from surgbench.contract import Mask, all_but_same
 from surgbench.geometry import FloatArray
 from surgbench.silhouette import Reference, VisibleScorer
 from surgbench.tasks.instrument.records import (
@@ -110,7 +110,7 @@ class OwnMasks:
         self._seen |= [bool(mask.mean() >= metrics.OUT_OF_VIEW_SHARE) for mask in masks]
         if any(mask.any() for mask in masks):
             self._shown += 1
-            self._alike += bool(np.array_equal(masks[0], masks[1]))
+            self._alike += all_but_same(*masks)
         for kept, order in ((self._straight, masks), (self._turned, masks[::-1])):
             references = [Reference(mask) for mask in order]
             score = self._scorer.score(state[None], references)
@@ -127,7 +127,7 @@ class OwnMasks:
     def hint(self, arms: tuple[str, ...]) -> str | None:
         """One line on masks that cannot be meant as they are; ``None`` where nothing is odd."""
         if self._shown and self._alike == self._shown:
-            return f"the masks of both arms are the same in all {self._shown} frames: they tell no arms apart"
+            return f"the masks of both arms are (nearly) the same in all {self._shown} frames: they tell no arms apart"
         unseen = [arm for arm, seen in zip(arms, self._seen, strict=True) if not seen]
         if self._shown and unseen:
             return f"the {unseen[0]} arm's own mask shows no instrument in any frame"
