@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from surgbench import metrics, pair_metrics
 from surgbench.contract import Mask, all_but_same
 from surgbench.geometry import FloatArray
+from surgbench.references import reference_joint_errors
 from surgbench.silhouette import Reference, VisibleScorer
 from surgbench.tasks.instrument.records import (
     FAR_OFF_DOUBTED,
@@ -23,6 +24,8 @@ from surgbench.tasks.instrument.units import UnitData
 
 # The masks of a recording's arms are taken to be named wrongly where the other way round leaves so little of the error.
 EXCHANGED_SHARE = 0.7
+# Its readings likewise, where wrists are off by more than trackers that hold the right arm are.
+EXCHANGED_READINGS_SHARE, OFF_RAD = 0.5, 0.15
 
 
 def hidden(data: UnitData, frames: int) -> NDArray[np.bool_]:
@@ -79,6 +82,40 @@ def pair_errors(
     if behind.any():
         errors[HIDDEN_KNOWN] = pair_metrics.hidden_known(tip_errors, lost, behind & ~away)
     return errors
+
+
+def exchanged_readings(data: UnitData, states: FloatArray, lost: NDArray[np.bool_]) -> str | None:
+    """One line where the arms of a recording have each other's joint readings; ``None`` where nothing is odd.
+
+    Args:
+        data: A unit.
+        states: ``(T, arms, 9)`` estimates.
+        lost: ``(T, arms)``; these say nothing.
+    """
+    readings = [data.sequence.readings(arm) for arm in data.unit.arms]
+    if data.truth is not None or len(readings) != 2:
+        return None
+
+    def off(order: tuple[int, int]) -> float:
+        errors = []
+        for place, (instrument, other) in enumerate(zip(data.instruments, order, strict=True)):
+            own, read = ~lost[:, place], readings[other]
+            assert read is not None
+            joints = (states[own, place], read[: len(states)][own])
+            errors.append(reference_joint_errors(*joints, instrument.search_limits, instrument.observed)[:, :2].ravel())
+        known = np.concatenate(errors)
+        known = known[np.isfinite(known)]
+        return float(known.mean()) if known.size else 0.0
+
+    if any(one is None for one in readings):
+        return None
+    straight, turned = off((0, 1)), off((1, 0))
+    if straight < OFF_RAD or turned > EXCHANGED_READINGS_SHARE * straight:
+        return None
+    return (
+        f"the wrists' joint readings fit far better the other way round ({turned:.2f} rad off instead of "
+        f"{straight:.2f}): left and right are exchanged, in the readings or in the masks"
+    )
 
 
 class OwnMasks:
