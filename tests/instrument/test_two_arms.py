@@ -267,6 +267,7 @@ def masks_of(root: Path, arm: str, frame: int) -> bytes:
     return (root / observed_path("000", arm, frame)).read_bytes()
 
 
+@pytest.mark.slow
 def test_a_pair_whose_run_fails_at_once_has_a_row_all_the_same(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
