@@ -29,6 +29,15 @@ def no_image() -> None:
     """The image of a view that has none."""
 
 
+# Masks of two arms that have so much of their union in common are of one and the same arm, or of both.
+SAME_SHARE = 0.9
+
+
+def all_but_same(one: Mask, other: Mask) -> bool:
+    """Whether masks of two arms are of one and the same arm, of both, or of nothing."""
+    return bool(np.count_nonzero(one & other) >= SAME_SHARE * np.count_nonzero(one | other))
+
+
 @dataclass(frozen=True, init=False)
 class View:
     """What one camera saw in one frame.
@@ -102,6 +111,14 @@ class View:
     def tips(self) -> Tips:
         """Per arm all tips that were seen, ``(2, 2)`` or ``(1, 2)`` pixels, or ``None``."""
         return self.found.every
+
+    @property
+    def told_apart(self) -> tuple[Mask, ...] | None:
+        """The instance masks, but where two of them are all but the same, or both empty, and so tell nothing apart."""
+        alone = self.instance_masks
+        if alone is None or len(alone) != 2:
+            return alone
+        return None if all_but_same(*alone) else alone
 
     def __getstate__(self) -> dict[str, Any]:
         # As bits a mask fits the buffer of a pipe, so that it reaches a tracker's process in one go.

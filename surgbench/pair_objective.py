@@ -21,8 +21,8 @@ class PairObjective(Objective):
     A call is eq. 15: both arms' silhouette and the one mask, and eq. 8 of each arm. Where all views of a frame have a
     mask for each arm, too, :meth:`arms` has a loss for each: eq. 6 of what is seen of it and its own mask, and eq. 8.
 
-    Masks that are the same for both arms tell nothing apart, and are none. Segmenters confuse arms: where the state
-    that a frame's search begins with is far nearer to the masks if they are exchanged, they are.
+    Masks that are the same for both arms tell nothing apart: each arm's loss is then eq. 15. Segmenters confuse arms:
+    where the state that a frame's search begins with is far nearer to the masks if they are exchanged, they are.
 
     Args:
         scene: Two instruments, and cameras.
@@ -55,6 +55,7 @@ class PairObjective(Objective):
         super().__init__(scene, weights)
         self.scorers = tuple(VisibleScorer(scene.instruments, view.camera) for view in scene.views)
         self._references: list[tuple[Reference, ...]] | None = None
+        self._named = False
         self.turned = False
 
     def observe(self, observation: Observation) -> None:
@@ -65,9 +66,10 @@ class PairObjective(Objective):
         """
         super().observe(observation)
         self.turned, self._references = False, None
-        given = [view.instance_masks for view in observation.views]
+        self._named = all(view.instance_masks is not None for view in observation.views)
+        given = [view.told_apart for view in observation.views]
         references = [tuple(Reference(mask) for mask in masks) for masks in given if masks is not None]
-        if len(references) < len(given) or any(np.array_equal(left.mask, right.mask) for left, right in references):
+        if len(references) < len(given):
             return
         self._references = references
         straight = float(self._arms(observation.start[None])[0].sum())
@@ -78,7 +80,7 @@ class PairObjective(Objective):
 
     @property
     def tells_apart(self) -> bool:
-        """Whether there is a mask for each arm."""
+        """Whether there is a mask for each arm, and not the same."""
         return self._references is not None
 
     def own_masks(self, view: int) -> tuple[Reference, ...]:
@@ -92,7 +94,7 @@ class PairObjective(Objective):
         return self._references[view]
 
     def arms(self, states: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Losses (eq. 5) and overlaps of each arm of candidates.
+        """Losses (eq. 5) and overlaps of each arm of candidates; those of both where the arms' masks are the same.
 
         Args:
             states: ``(n, 18)``.
@@ -103,6 +105,9 @@ class PairObjective(Objective):
         Raises:
             SurgbenchError: The frame has no masks of single arms.
         """
+        if self._references is None and self._named:
+            both, overlap = self(states)
+            return np.stack([both, both], axis=1), np.stack([overlap, overlap], axis=1)
         loss, common, union = self._arms(states)
         for view in self.views:
             if view.has_keypoints:

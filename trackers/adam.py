@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
+from pydantic import Field
 
 from surgbench.contract import Scene
 from surgbench.geometry import FloatArray
@@ -20,7 +21,16 @@ class AdamTracker(DescentTracker):
     summary: ClassVar[str] = "gradient descent with Adam on silhouettes and tips, the baseline of Hu et al. 2026"
 
     class Config(DescentConfig):
-        """Options; the defaults are those of the released code."""
+        """Options; the defaults are those of the released code, but for its mistake."""
+
+        released_iterate: Annotated[
+            bool,
+            Field(
+                description="two arms with a mask each: both are estimated where the left one alone fits best, as by a "
+                "mistake in the paper's code"
+            ),
+        ] = False
+        pair_options: ClassVar[tuple[str, ...]] = ("released_iterate",)
 
     def __init__(self, config: Config | None = None) -> None:
         self.config = config or self.Config()
@@ -32,3 +42,8 @@ class AdamTracker(DescentTracker):
     def _descent(self, start: FloatArray) -> Descent:
         descent: Descent = Adam(start, self.config.learning_rate)
         return descent
+
+    def _best(self, states: FloatArray, losses: FloatArray) -> int:
+        if self.config.released_iterate and self._pair is not None and self._pair.tells_apart:
+            return int(np.argmin(self._pair.arms(states)[0][:, 0]))
+        return super()._best(states, losses)

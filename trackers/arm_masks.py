@@ -11,7 +11,7 @@ LEAST_SHARE = 0.1  # of the larger arm's pixels that the other arm has; less is 
 
 
 def mask_per_arm(view: View, arms: int) -> tuple[Mask, ...] | None:
-    """One mask per arm: the mask, the instance masks, or the two largest connected parts from left to right.
+    """One mask per arm: the mask, instance masks that differ, or the two largest connected parts from left to right.
 
     Args:
         view: Its mask and instance masks.
@@ -23,8 +23,8 @@ def mask_per_arm(view: View, arms: int) -> tuple[Mask, ...] | None:
     """
     if arms == 1:
         return (view.mask,)
-    if view.instance_masks is not None:
-        return view.instance_masks
+    if (masks := view.told_apart) is not None:
+        return masks
     if not np.array_equal(view.T_view_cam, np.eye(4)):
         return None
     count, labels, stats, centres = cv2.connectedComponentsWithStats(view.mask.astype(np.uint8))

@@ -8,12 +8,12 @@ from typing import Annotated, Literal, Protocol
 import numpy as np
 from pydantic import Field
 
-from surgbench.config import Section
 from surgbench.contract import Estimate, InstrumentTracker, Observation, Scene, Trace
 from surgbench.geometry import FloatArray
 from surgbench.objective import LossWeights, Objective
 from surgbench.pair_objective import PairObjective
 from surgbench.search.arms import arm_confidence
+from surgbench.search.pair_options import WithPairOptions
 from surgbench.search.spaces import SearchSpaces
 from surgbench.state import JointLimits, clip_joints
 
@@ -35,7 +35,7 @@ class Descent(Protocol):
         ...
 
 
-class DescentConfig(Section):
+class DescentConfig(WithPairOptions):
     """Options; the defaults are those of the released code of Hu et al. 2026."""
 
     iterations: Annotated[int, Field(ge=1, description="steps a frame")] = 10
@@ -95,13 +95,18 @@ class DescentTracker(InstrumentTracker):
             descent.point = space.nearest(descent.point)
             states.append(space.decode(descent.point))
         losses, ious = self._objective(np.array(states))
-        chosen = -1 if self._options.estimate == "last" else int(np.argmin(losses))
+        if self._pair is not None:
+            self._pair.observe(observation)
+        chosen = -1 if self._options.estimate == "last" else self._best(np.array(states), losses)
         if self.trace is not None:
             self.trace.states += [state[None] for state in states]
             self.trace.losses += [loss[None] for loss in losses]
         if self._pair is not None:
-            self._pair.observe(observation)
             confidence, hidden = arm_confidence(self._pair, states[chosen])
             return Estimate(states[chosen], confidence, hidden | (confidence < self._options.lost_iou))
         iou = float(ious[chosen])
         return Estimate(states[chosen], confidence=iou, lost=iou < self._options.lost_iou)
+
+    def _best(self, states: FloatArray, losses: FloatArray) -> int:
+        """Which of the states on a frame's way, ``(n, 9 * arms)`` with their losses ``(n,)``, is the estimate."""
+        return int(np.argmin(losses))

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Sequence
-from typing import Annotated, Any, ClassVar, Literal, Protocol
+from typing import Annotated, ClassVar, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
+from pydantic import Field
 
-from surgbench.config import Section
 from surgbench.contract import Estimate, InstrumentTracker, Observation, Scene, Trace
 from surgbench.geometry import FloatArray
 from surgbench.objective import LossWeights, Objective
 from surgbench.pair_objective import PairObjective
 from surgbench.search.arms import arm_confidence
+from surgbench.search.pair_options import WithPairOptions
 from surgbench.search.spaces import SearchSpaces
 from surgbench.state import StateSpace, split_arms
 
@@ -58,7 +58,7 @@ class Separate:
             arm.tell(np.ascontiguousarray(own), loss)
 
 
-class SamplingConfig(Section):
+class SamplingConfig(WithPairOptions):
     """Options; the defaults are those of the released code of Hu et al. 2026."""
 
     iterations: Annotated[int, Field(ge=1, description="generations a frame")] = 3
@@ -79,12 +79,6 @@ class SamplingConfig(Section):
     loss: LossWeights = LossWeights(keypoint_form="released")
 
     pair_options: ClassVar[tuple[str, ...]] = ("dual",)
-
-    @model_serializer(mode="wrap")
-    def _without_what_is_about_pairs(self, serialise: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        # So that the hashes of runs that do not set them do not know of them.
-        usual = {name: type(self).model_fields[name].default for name in self.pair_options}
-        return {key: value for key, value in serialise(self).items() if key not in usual or value != usual[key]}
 
 
 class SamplingTracker(InstrumentTracker):

@@ -241,3 +241,44 @@ def test_odd_masks_of_a_recording_are_told(
     assert words in capsys.readouterr().err
     (row,) = read_rows([tmp_path / "runs"])
     assert row["mask_error_arms"] is not None
+
+
+def test_readings_of_the_other_arm_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Masks and estimates agree; the readings say that left and right are exchanged somewhere."""
+    root = tmp_path / "data"
+    make_pair(root, truth=False, sequences=1)
+    lines = ["sequence,arm,frame," + ",".join(POSE_COLUMNS)]
+    for arm, other in (("left", "right"), ("right", "left")):
+        poses = pose_columns(states_of(other))
+        lines += [f"000,{arm},{frame}," + ",".join(map(repr, pose.tolist())) for frame, pose in enumerate(poses)]
+        for frame in range(4):  # masks as the estimates
+            (root / observed_path("000", arm, frame)).write_bytes(masks_of(tmp_path / "plain", other, frame))
+    (tmp_path / "poses.csv").write_text("\n".join(lines) + "\n")
+    surgbench("score", root, tmp_path / "poses.csv", "--name", "mine", "--arms", "dual", "--out", tmp_path / "runs")
+    assert "joint readings fit far better the other way round" in capsys.readouterr().err
+    (record,) = records(tmp_path / "runs")
+    assert "left and right are exchanged" in record["hint"]
+
+
+def masks_of(root: Path, arm: str, frame: int) -> bytes:
+    """The file of an arm's mask, of the same pair untouched."""
+    if not root.exists():
+        make_pair(root, truth=False, sequences=1)
+    return (root / observed_path("000", arm, frame)).read_bytes()
+
+
+@pytest.mark.slow
+def test_a_pair_whose_run_fails_at_once_has_a_row_all_the_same(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """There is not one estimate, and of no error an axis of arms."""
+    (tmp_path / "fails.py").write_text(TRACKER.replace("told = ", "raise ValueError('no')\n        told = "))
+    make_pair(tmp_path / "data", sequences=1, visible=BOTH)
+    tracker = f"{tmp_path / 'fails.py'}:Tracker"
+    run = ("run", "--dataset", tmp_path / "data", "--tracker", tracker, "--arms", "dual", "--out", tmp_path / "runs")
+    surgbench(*run, "--keypoints", "observed", expect=1)
+    captured = capsys.readouterr()
+    assert "ValueError: no" in captured.err
+    assert "Traceback" not in captured.err
+    (row,) = read_rows([tmp_path / "runs"])
+    assert row.get("tip_error_m_left") is None

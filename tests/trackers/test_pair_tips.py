@@ -64,6 +64,19 @@ def test_arms_that_touch_are_parted_where_the_search_begins(camera: Camera) -> N
     assert source.find(unknown, frame.views[0], known) == (None, None)
 
 
+def test_one_mask_given_for_both_arms_is_no_mask_of_either(camera: Camera) -> None:
+    """Else both arms had the tips of the one that it shows."""
+    scene, state = scene_of(camera, arms=2), arms_at(-0.004, 0.004)
+    frame = frame_of(scene, state, state + NEARLY)
+    known, source = Known(scene, state), ArmTips(scene)
+    for mask in (frame.views[0].mask, known.alone[0]):
+        view = replace(frame.views[0], instance_masks=(mask, mask))
+        found = source.find(replace(frame, views=(view,)), view, known)
+        for own, expected in zip(found, tips_of(scene, state), strict=True):
+            assert own is not None
+            np.testing.assert_array_equal(np.sort(own, axis=0), np.sort(expected, axis=0))
+
+
 def test_arms_that_have_crossed_keep_their_tips(camera: Camera) -> None:
     """In two parts again, the left arm on the right: by their order alone they would be exchanged."""
     scene = scene_of(camera, arms=2)

@@ -11,7 +11,7 @@ import pytest
 from support import observe, resting_state, scene_of
 
 from surgbench.camera import Camera
-from surgbench.contract import Observation, Scene
+from surgbench.contract import Observation, Scene, Trace
 from surgbench.errors import SurgbenchError
 from surgbench.geometry import FloatArray
 from surgbench.objective import LossWeights, Objective
@@ -154,6 +154,53 @@ def test_masks_of_single_arms_bring_both_arms_nearer(camera: Camera, dual: Liter
     assert (after > before).all()
     assert np.all(estimate.confidence > 0.85)
     assert not np.any(estimate.lost)
+
+
+def test_the_released_descent_has_the_right_arm_where_the_left_one_fits_best(camera: Camera) -> None:
+    scene, truth = scene_of(camera, arms=2), crossing()
+    # The left arm begins where it is, and every step takes it away; the right one does not.
+    start = truth + np.concatenate([np.zeros(9), STEP[9:]])
+    frame = told(scene, truth, start=start)
+    objective = PairObjective(scene, MASKS_ALONE)
+    objective.observe(frame)
+    found = {}
+    for released in (False, True):
+        tracker = AdamTracker(AdamTracker.Config(released_iterate=released, loss=MASKS_ALONE))
+        tracker.trace = Trace()
+        tracker.reset(scene, start, np.random.default_rng(0))
+        found[released] = tracker.step(frame).state
+        way = np.concatenate(tracker.trace.states)
+        left = int(np.argmin(objective.arms(way)[0][:, 0]))
+        assert np.array_equal(found[released], way[left]) == released
+    losses = objective.arms(np.stack([found[False], found[True]]))[0]
+    assert losses[0, 1] < losses[1, 1]
+    without = replace(frame, views=(replace(frame.views[0], instance_masks=None),))
+    assert np.array_equal(tracker.step(without).state, found[False])  # there is no left one alone
+    assert "released_iterate" not in AdamTracker.Config().model_dump()  # hashes of other runs do not know of it
+    assert AdamTracker.Config(released_iterate=True).model_dump()["released_iterate"] is True
+
+
+@pytest.mark.parametrize("second", ["same", "nearly", "nothing"])
+def test_masks_that_are_the_same_for_both_arms_tell_nothing_apart(small_camera: Camera, second: str) -> None:
+    """A separate search, too, goes on with one mask of both; it does not end the run."""
+    scene, truth = scene_of(small_camera, arms=2), crossing()
+    frame = told(scene, truth, start=truth + STEP)
+    one = frame.views[0].mask & (second != "nothing")
+    other = one.copy()
+    if second == "nearly":
+        other[tuple(np.argwhere(one)[0])] = False
+    view = replace(frame.views[0], instance_masks=(one, other))
+    assert view.told_apart is None
+    frame = replace(frame, views=(view,))
+    pair, both = PairObjective(scene, MASKS_ALONE), Objective(scene, MASKS_ALONE)
+    for objective in (pair, both):
+        objective.observe(frame)
+    assert not pair.tells_apart
+    states = np.stack([truth, truth + STEP])
+    np.testing.assert_array_equal(pair.arms(states)[0], np.stack([both(states)[0]] * 2, axis=1))
+    tracker = CmaesTracker(CmaesTracker.Config(dual="separate"))
+    tracker.reset(scene, frame.start, np.random.default_rng(0))
+    assert np.isfinite(tracker.step(frame).state).all()
 
 
 def test_separate_searches_need_a_mask_for_each_arm(small_camera: Camera) -> None:

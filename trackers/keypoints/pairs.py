@@ -58,7 +58,7 @@ class ArmTips:
         predicted = self._predicted(observation, view)
         if masks is not None:
             found = tuple(detect(mask) for mask in masks)
-            named = view.instance_masks is not None
+            named = view.told_apart is not None
             return found if predicted is None else turned(found, predicted, TURNED_SHARE if named else 1.0)
         if predicted is None:
             return (None,) * arms

@@ -18,7 +18,7 @@ from surgbench.suite.running import Run
 from surgbench.suite.settings import Job, Plug
 from surgbench.tasks.instrument.dataset import InstrumentDataset, InstrumentUnit
 from surgbench.tasks.instrument.judge import frames_that_count, judged_columns
-from surgbench.tasks.instrument.pairs import OwnMasks, hidden, pair_errors
+from surgbench.tasks.instrument.pairs import OwnMasks, exchanged_readings, hidden, pair_errors
 from surgbench.tasks.instrument.plan import InstrumentSettings
 from surgbench.tasks.instrument.records import ANSWER_COLUMNS, ARM_COLUMNS, SHARES
 from surgbench.tasks.instrument.references import absent_from_masks, reference_errors
@@ -121,7 +121,9 @@ def execute(job: Job, dataset: InstrumentDataset, run: Run, *, waits: bool = Tru
                 run.advance(1)
     except ChildProblemError as problem:
         status, error, trace = problem.status, f"frame {len(answers)}: {problem}", problem.traceback
-    hint = None if own_masks is None else own_masks.hint(data.unit.arms)
+    hint = (None if own_masks is None else own_masks.hint(data.unit.arms)) or exchanged_readings(
+        data, _states(data, answers), lost_arms(answers, len(data.unit.arms))
+    )
     return {
         "status": status,
         "error": error,
@@ -188,7 +190,7 @@ def _errors(
         (*metrics.POSE_ERRORS, "translation_error_scaled_m", "frames_to_recover", *SHARES)
     )
     shape = (len(answers), len(data.unit.arms), STATE_SIZE)
-    states = np.array([answer.state for answer in answers]).reshape(shape)
+    states = _states(data, answers)
     starts = np.array([answer.start for answer in answers]).reshape(shape)
     away = out_of_view(data, len(answers))
     lost = lost_arms(answers, shape[1])
@@ -238,6 +240,11 @@ def _errors(
     return errors
 
 
+def _states(data: UnitData, answers: list[Answer]) -> FloatArray:
+    """``(T, arms, 9)``."""
+    return np.array([answer.state for answer in answers]).reshape(len(answers), len(data.unit.arms), STATE_SIZE)
+
+
 def lost_arms(answers: list[Answer], arms: int) -> NDArray[np.bool_]:
     """Of which frames each arm is said to be lost, ``(T, arms)``."""
     own = [answer.lost if answer.lost_arms is None else answer.lost_arms for answer in answers]
@@ -251,7 +258,7 @@ def _judged(
     mask_errors: list[tuple[float | None, float | None]],
 ) -> dict[str, list[float | None]]:
     """What a recording without truth has instead; see :func:`surgbench.tasks.instrument.judge.judged_columns`."""
-    states = np.array([answer.state for answer in answers]).reshape(len(answers), len(data.unit.arms), STATE_SIZE)
+    states = _states(data, answers)
     counts = frames_that_count((answer.lost for answer in answers), (seen for seen, _ in mask_errors))
     return judged_columns(data.sequence, data.unit.arms, states, counts, settings.readings, settings.references)
 

@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surgbench import metrics, pair_metrics
-from surgbench.contract import Mask
+from surgbench.contract import Mask, all_but_same
 from surgbench.geometry import FloatArray
+from surgbench.references import reference_joint_errors
 from surgbench.silhouette import Reference, VisibleScorer
 from surgbench.tasks.instrument.records import (
     FAR_OFF_DOUBTED,
@@ -23,6 +24,8 @@ from surgbench.tasks.instrument.units import UnitData
 
 # The masks of a recording's arms are taken to be named wrongly where the other way round leaves so little of the error.
 EXCHANGED_SHARE = 0.7
+# Its readings likewise, where wrists are off by more than trackers that hold the right arm are.
+EXCHANGED_READINGS_SHARE, OFF_RAD = 0.5, 0.15
 
 
 def hidden(data: UnitData, frames: int) -> NDArray[np.bool_]:
@@ -81,6 +84,40 @@ def pair_errors(
     return errors
 
 
+def exchanged_readings(data: UnitData, states: FloatArray, lost: NDArray[np.bool_]) -> str | None:
+    """One line where the arms of a recording have each other's joint readings; ``None`` where nothing is odd.
+
+    Args:
+        data: A unit.
+        states: ``(T, arms, 9)`` estimates.
+        lost: ``(T, arms)``; these say nothing.
+    """
+    readings = [data.sequence.readings(arm) for arm in data.unit.arms]
+    if data.truth is not None or len(readings) != 2:
+        return None
+
+    def off(order: tuple[int, int]) -> float:
+        errors = []
+        for place, (instrument, other) in enumerate(zip(data.instruments, order, strict=True)):
+            own, read = ~lost[:, place], readings[other]
+            assert read is not None
+            joints = (states[own, place], read[: len(states)][own])
+            errors.append(reference_joint_errors(*joints, instrument.search_limits, instrument.observed)[:, :2].ravel())
+        known = np.concatenate(errors)
+        known = known[np.isfinite(known)]
+        return float(known.mean()) if known.size else 0.0
+
+    if any(one is None for one in readings):
+        return None
+    straight, turned = off((0, 1)), off((1, 0))
+    if straight < OFF_RAD or turned > EXCHANGED_READINGS_SHARE * straight:
+        return None
+    return (
+        f"the wrists' joint readings fit far better the other way round ({turned:.2f} rad off instead of "
+        f"{straight:.2f}): left and right are exchanged, in the readings or in the masks"
+    )
+
+
 class OwnMasks:
     """Holds what is seen of each arm against its own mask: the clean one, or in a recording what somebody segmented.
 
@@ -110,7 +147,7 @@ class OwnMasks:
         self._seen |= [bool(mask.mean() >= metrics.OUT_OF_VIEW_SHARE) for mask in masks]
         if any(mask.any() for mask in masks):
             self._shown += 1
-            self._alike += bool(np.array_equal(masks[0], masks[1]))
+            self._alike += all_but_same(*masks)
         for kept, order in ((self._straight, masks), (self._turned, masks[::-1])):
             references = [Reference(mask) for mask in order]
             score = self._scorer.score(state[None], references)
@@ -127,7 +164,7 @@ class OwnMasks:
     def hint(self, arms: tuple[str, ...]) -> str | None:
         """One line on masks that cannot be meant as they are; ``None`` where nothing is odd."""
         if self._shown and self._alike == self._shown:
-            return f"the masks of both arms are the same in all {self._shown} frames: they tell no arms apart"
+            return f"the masks of both arms are (nearly) the same in all {self._shown} frames: they tell no arms apart"
         unseen = [arm for arm, seen in zip(arms, self._seen, strict=True) if not seen]
         if self._shown and unseen:
             return f"the {unseen[0]} arm's own mask shows no instrument in any frame"

@@ -100,7 +100,8 @@ def _pair_columns(records: list[InstrumentRecord]) -> Row:
     }
     values = {name: summarise(_by_sequence(records, name)).mean for name in PAIR_ERRORS}
     for name, error, place in ARM_ERRORS:
-        own = [[errors[:, place] for errors in sequence] for sequence in _by_sequence(records, error)]
+        # What failed before its first frame has no errors, and no axis of arms.
+        own = [[errors.reshape(-1, len(ARMS))[:, place] for errors in one] for one in _by_sequence(records, error)]
         values[name] = summarise(own).mean
     return row | {name: mean for name, mean in values.items() if mean is not None}
 
