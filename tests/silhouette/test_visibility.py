@@ -16,7 +16,7 @@ from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument, load_instrument
 from surgbench.silhouette import Reference, SilhouetteEvaluator, VisibleScorer
 from surgbench.silhouette.layout import Lens
-from surgbench.silhouette.visibility import VisibilityEvaluator, nearest_surface
+from surgbench.silhouette.visibility import VisibilityEvaluator
 
 DRIVER = load_instrument("large_needle_driver")
 
