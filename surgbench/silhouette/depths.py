@@ -1,4 +1,4 @@
-"""Compiled: how far away the surface of closed solids is at pixels that they cover, and bounds of it over tiles.
+"""Compiled: how far away the surface of closed solids is at pixels that they cover.
 
 A rasteriser with the rules of :mod:`surgbench.silhouette.spans`: the inverse of the depth is linear in the pixel over a
 plane.
@@ -11,11 +11,6 @@ from typing import Any
 import numpy as np
 
 from surgbench.compiled import compiled
-
-# A corner whose inverse depth is at least this share of the near plane's lies on it.
-CUT_SHARE = 1.0 - 1e-9
-# Facing is not told of faces whose plane passes the camera this near, as six times the volume that both span, m^3.
-EDGE_ON = 1e-13
 
 
 @compiled
@@ -67,7 +62,7 @@ def nearest_surface(
     for f in range(faces.shape[0]):
         if is_aside(points, seen, faces[f], lens, box):
             continue
-        count = _clip(points, faces[f], lens, corners)
+        count = clip(points, faces[f], lens, corners)
         if count > 0:
             plane = _inverse_depth_plane(points, faces[f], lens)
             for k in range(2, count):
@@ -104,7 +99,18 @@ def _project(x: float, y: float, z: float, lens: Any, corner: Any) -> None:
 
 
 @compiled
-def _clip(points: Any, face: Any, lens: Any, corners: Any) -> int:
+def near_point(points: Any, i: Any, j: Any, lens: Any) -> Any:
+    """Pixel where the edge between vertices i and j, which lie on both sides, meets the near plane."""
+    if i > j:  # the same numbers for both faces of the edge
+        i, j = j, i
+    t = (lens.near - points[i, 2]) / (points[j, 2] - points[i, 2])
+    x = points[i, 0] + t * (points[j, 0] - points[i, 0])
+    y = points[i, 1] + t * (points[j, 1] - points[i, 1])
+    return lens.fx * x / lens.near + lens.cx, lens.fy * y / lens.near + lens.cy
+
+
+@compiled
+def clip(points: Any, face: Any, lens: Any, corners: Any) -> int:
     """Corners ``(u, v, 1/z)`` of the part of a face beyond the near plane; returns how many: 0, 3 or 4."""
     count = 0
     for k in range(3):
@@ -114,12 +120,8 @@ def _clip(points: Any, face: Any, lens: Any, corners: Any) -> int:
             _project(points[i, 0], points[i, 1], points[i, 2], lens, corners[count])
             count += 1
         if seen != (points[j, 2] > lens.near):
-            if i > j:  # the same numbers for both faces of the edge
-                i, j = j, i
-            t = (lens.near - points[i, 2]) / (points[j, 2] - points[i, 2])
-            x = points[i, 0] + t * (points[j, 0] - points[i, 0])
-            y = points[i, 1] + t * (points[j, 1] - points[i, 1])
-            _project(x, y, lens.near, lens, corners[count])
+            corners[count, 0], corners[count, 1] = near_point(points, i, j, lens)
+            corners[count, 2] = 1.0 / lens.near
             count += 1
     return count
 
@@ -183,7 +185,7 @@ def _depth_of_nearest_edge(points: Any, faces: Any, lens: Any, u: float, v: floa
     """Depth of the mesh where an edge, as cut by the near plane, comes nearest to a pixel."""
     nearest, w = np.inf, 0.0
     for f in range(faces.shape[0]):
-        count = _clip(points, faces[f], lens, corners)
+        count = clip(points, faces[f], lens, corners)
         for k in range(count):
             p, q = corners[k], corners[(k + 1) % count]
             du, dv = q[0] - p[0], q[1] - p[1]
@@ -194,86 +196,3 @@ def _depth_of_nearest_edge(points: Any, faces: Any, lens: Any, u: float, v: floa
             if distance < nearest:
                 nearest, w = distance, p[2] + t * (q[2] - p[2])
     return 1.0 / w
-
-
-@compiled
-def nearness_bounds(
-    points: Any, seen: Any, faces: Any, lens: Any, box: Any, tile_px: int, corners: Any, bounds: Any
-) -> None:
-    """Between which inverse depths the nearest surface lies at the pixels of each tile of a box that a solid covers.
-
-    Of each front face that reaches into a tile it is the range of its plane there, within that of its corners.
-
-    Args:
-        points: ``(V, 3)`` vertices in the camera frame, metres.
-        seen: ``(V, 3)``: the same projected, and their inverse depths.
-        faces: ``(F, 3)`` as :func:`nearest_surface` takes them.
-        lens: The camera.
-        box: First row, row after the last, first column and column after the last.
-        tile_px: Sides of the tiles, which begin at the box's first row and column.
-        corners: ``(4, 3)``, scratch.
-        bounds: ``(rows, columns, 2)``, filled for each tile of the box: the least and the greatest; 0 and inf where the
-            near plane cuts the solid.
-    """
-    bounds[:, :, 0], bounds[:, :, 1] = np.inf, 0.0
-    # Where the near plane cuts it.
-    top, bottom, left, right = np.inf, -np.inf, np.inf, -np.inf
-    for f in range(faces.shape[0]):
-        i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
-        if min(points[i, 2], points[j, 2], points[k, 2]) > lens.near:
-            if is_aside(points, seen, faces[f], lens, box):
-                continue
-            count = 3
-            for c in range(3):
-                corners[0, c], corners[1, c], corners[2, c] = seen[i, c], seen[j, c], seen[k, c]
-        else:
-            count = _clip(points, faces[f], lens, corners)
-            if count == 0:
-                continue
-            for c in range(count):
-                if corners[c, 2] >= CUT_SHARE / lens.near:
-                    top, bottom = min(top, corners[c, 1]), max(bottom, corners[c, 1])
-                    left, right = min(left, corners[c, 0]), max(right, corners[c, 0])
-        o, p, q = points[i], points[j], points[k]
-        px, py, pz = p[0] - o[0], p[1] - o[1], p[2] - o[2]
-        qx, qy, qz = q[0] - o[0], q[1] - o[1], q[2] - o[2]
-        nx, ny, nz = py * qz - pz * qy, pz * qx - px * qz, px * qy - py * qx
-        offset = nx * o[0] + ny * o[1] + nz * o[2]
-        if offset <= EDGE_ON:  # else it is seen from behind
-            a, b = nx / (lens.fx * offset), ny / (lens.fy * offset)
-            _enter_bounds(corners, count, a, b, nz / offset - a * lens.cx - b * lens.cy, box, tile_px, bounds)
-    for row in range(bounds.shape[0]):
-        for column in range(bounds.shape[1]):
-            v, u = box[0] + row * tile_px, box[2] + column * tile_px
-            if not (bottom < v - 1 or top > v + tile_px or right < u - 1 or left > u + tile_px):
-                bounds[row, column, 0], bounds[row, column, 1] = 0.0, np.inf
-
-
-@compiled
-def _enter_bounds(corners: Any, count: int, a: float, b: float, c: float, box: Any, tile_px: int, bounds: Any) -> None:
-    """Widen the bounds of the tiles that a face with the plane ``1/z = a u + b v + c`` may reach into."""
-    low, high = corners[0, 2], corners[0, 2]
-    top, bottom, left, right = corners[0, 1], corners[0, 1], corners[0, 0], corners[0, 0]
-    for n in range(1, count):
-        low, high = min(low, corners[n, 2]), max(high, corners[n, 2])
-        top, bottom = min(top, corners[n, 1]), max(bottom, corners[n, 1])
-        left, right = min(left, corners[n, 0]), max(right, corners[n, 0])
-    for row in range(bounds.shape[0]):
-        v = box[0] + row * tile_px
-        if bottom < v - 1 or top > v + tile_px:
-            continue
-        for column in range(bounds.shape[1]):
-            u = box[2] + column * tile_px
-            if right < u - 1 or left > u + tile_px:
-                continue
-            # Over what of the tile the face may cover.
-            u0, u1 = max(float(u), left - 1.0), min(float(u + tile_px), right + 1.0)
-            v0, v1 = max(float(v), top - 1.0), min(float(v + tile_px), bottom + 1.0)
-            w, across, down = a * u0 + b * v0 + c, a * (u1 - u0), b * (v1 - v0)
-            first, last = w + min(across, 0.0) + min(down, 0.0), w + max(across, 0.0) + max(down, 0.0)
-            least, greatest = low, high
-            if first == first and last == last:  # else the face is seen edge-on
-                least, greatest = max(low, first), min(high, last)
-            if least <= greatest:  # else its plane has these depths elsewhere
-                bounds[row, column, 0] = min(bounds[row, column, 0], least)
-                bounds[row, column, 1] = max(bounds[row, column, 1], greatest)

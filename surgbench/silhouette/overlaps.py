@@ -1,6 +1,6 @@
 """Compiled: what two arms hide of each other, counted from the spans of both without an image.
 
-Where spans of both arms overlap, tiles of the picture tell which is in front: the planes of the faces say between which
+Where spans of both arms overlap, tiles of the picture tell which is in front: the planes of the facets say between which
 depths each arm's surface lies in a tile. Pixel by pixel is looked only at tiles that this does not settle.
 """
 
@@ -14,14 +14,13 @@ from numpy.typing import NDArray
 from surgbench.compiled import compiled
 from surgbench.geometry import FloatArray
 from surgbench.silhouette.contour import Contour, contour_scratch, trace
-from surgbench.silhouette.depths import is_aside, nearest_surface, nearness_bounds, place_body
+from surgbench.silhouette.depths import is_aside, nearest_surface, place_body
+from surgbench.silhouette.nearness import TILE_PX, bound_nearness, reach
 from surgbench.silhouette.layout import Bodies, Indices, Lens, Links, Mesh
 from surgbench.silhouette.spans import COLUMN_BITS, COLUMN_MASK, Rows, cover, rows_scratch, total
 
-# Sides of the tiles in which the order of two arms is asked for.
-TILE_PX = 32
-# What rounding may do to an inverse depth.
-ROUNDING = 1e-9
+# Bounds of inverse depths that are no farther apart tell no order, relative: planes of facets are not exact.
+UNSURE = 1e-4
 
 
 class Arm(NamedTuple):
@@ -200,15 +199,15 @@ def _take_off(
     """Add up which arm's pixels are hidden where both are."""
     rows, columns = -(-(box[1] - box[0]) // TILE_PX), -(-(box[3] - box[2]) // TILE_PX)
     bounds, order = pair.bounds[:, :rows, :columns], pair.order[:rows, :columns]
-    first, first_cut = _gather(arms[0], lens, box, scratch[0])
-    second, second_cut = _gather(arms[1], lens, box, scratch[1])
-    ours, theirs = scratch[0].near[:first], scratch[1].near[:second]
     for a in range(2):
-        near = ours if a == 0 else theirs
-        nearness_bounds(scratch[a].points, scratch[a].seen, near, lens, box, TILE_PX, pair.corners, bounds[a])
+        own = scratch[a]
+        bound_nearness(arms[a], lens, box, own.contour, own.points, own.seen, pair.corners, bounds[a])
     _tell_order(bounds, order)
     if not _count_told(overlap, box, order, prefixes, hidden, pair.wanted):
         return
+    first, first_cut = _gather(arms[0], lens, box, scratch[0])
+    second, second_cut = _gather(arms[1], lens, box, scratch[1])
+    ours, theirs = scratch[0].near[:first], scratch[1].near[:second]
     for row in range(rows):
         for column in range(columns):
             if order[row, column] < 2:
@@ -234,7 +233,7 @@ def _gather(arm: Any, lens: Any, box: Any, scratch: Any) -> Any:
     found, cut = 0, False
     for b in range(bodies.link.shape[0]):
         first, last = bodies.vertex_first[b], bodies.vertex_last[b]
-        reaches, aside = _reach(contour.u[first:last], contour.v[first:last], contour.depth[first:last], lens, box)
+        reaches, aside = reach(contour.u[first:last], contour.v[first:last], contour.depth[first:last], lens, box)
         cut |= reaches
         if aside and not reaches:
             continue
@@ -248,29 +247,15 @@ def _gather(arm: Any, lens: Any, box: Any, scratch: Any) -> Any:
 
 
 @compiled
-def _reach(u: Any, v: Any, depth: Any, lens: Any, box: Any) -> Any:
-    """Of a body's vertices: whether some lie at or before the near plane, and whether all lie aside of the box."""
-    hidden = 0
-    top, bottom, left, right = 0, 0, 0, 0
-    for i in range(u.shape[0]):
-        hidden += not depth[i] > lens.near
-        top += v[i] > box[1]
-        bottom += v[i] < box[0] - 1
-        left += u[i] > box[3]
-        right += u[i] < box[2] - 1
-    return hidden > 0, max(top, bottom, left, right) == u.shape[0]
-
-
-@compiled
 def _tell_order(bounds: Any, order: Any) -> None:
     """Which arm is behind in each tile; -1 where the bounds tell no order."""
     for row in range(order.shape[0]):
         for column in range(order.shape[1]):
             first, second = bounds[0, row, column], bounds[1, row, column]
             behind = 1
-            if second[0] > first[1] * (1 + ROUNDING):
+            if second[0] > first[1] * (1 + UNSURE):
                 behind = 0
-            elif not first[0] > second[1] * (1 + ROUNDING):
+            elif not first[0] > second[1] * (1 + UNSURE):
                 behind = -1
             order[row, column] = behind
 

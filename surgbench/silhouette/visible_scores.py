@@ -78,7 +78,9 @@ class VisibleScorer:
         self._lens = lens(camera, NEAR_M)
         self._lock = threading.Lock()
         if len(self.instruments) == PAIR:
-            self._arms = tuple(Arm(*assemble([instrument])) for instrument in self.instruments)
+            left, right = self.instruments
+            one = Arm(*assemble([left]))
+            self._arms = one, one if right is left else Arm(*assemble([right]))
             self._make_room(None)
 
     def __reduce__(self) -> tuple[type, tuple[Any, ...]]:
