@@ -108,10 +108,12 @@ def _plane(f: Any, pose: Any, mesh: Any, lens: Any) -> Any:
     z = pose[2, 0] * nx + pose[2, 1] * ny + pose[2, 2] * nz
     # n . p = offset in the link's frame is this in the camera's; below zero where the camera is before it.
     offset = mesh.offset[f] + x * pose[0, 3] + y * pose[1, 3] + z * pose[2, 3]
-    if not abs(offset) > EDGE_ON_M * np.sqrt(nx * nx + ny * ny + nz * nz):
+    if not offset * offset > EDGE_ON_M * EDGE_ON_M * (nx * nx + ny * ny + nz * nz):
         return False, False, np.nan, 0.0, 0.0
+    if offset > 0:
+        return True, False, np.nan, 0.0, 0.0
     a, b = x / (lens.fx * offset), y / (lens.fy * offset)
-    return True, offset < 0, a, b, z / offset - a * lens.cx - b * lens.cy
+    return True, True, a, b, z / offset - a * lens.cx - b * lens.cy
 
 
 @compiled

@@ -1,7 +1,7 @@
 """Compiled: what two arms hide of each other, counted from the spans of both without an image.
 
-Where spans of both arms overlap, tiles of the picture tell which is in front: the planes of the facets say between which
-depths each arm's surface lies in a tile. Pixel by pixel is looked only at tiles that this does not settle.
+Where spans of both arms overlap, tiles of the picture tell which is in front: the planes of the facets say between
+which depths each arm's surface lies in a tile. Pixel by pixel is looked only at tiles that this does not settle.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from surgbench.compiled import compiled
 from surgbench.geometry import FloatArray
 from surgbench.silhouette.contour import Contour, contour_scratch, trace
 from surgbench.silhouette.depths import is_aside, nearest_surface, place_body
-from surgbench.silhouette.nearness import TILE_PX, bound_nearness, reach
 from surgbench.silhouette.layout import Bodies, Indices, Lens, Links, Mesh
+from surgbench.silhouette.nearness import TILE_PX, bound_nearness, reach
 from surgbench.silhouette.spans import COLUMN_BITS, COLUMN_MASK, Rows, cover, rows_scratch, total
 
 # Bounds of inverse depths that are no farther apart tell no order, relative: planes of facets are not exact.

@@ -156,7 +156,8 @@ class VisibilityEvaluator:
         if box is None:
             return silhouettes
         window = slice(box[0], box[1]), slice(box[2], box[3])
-        front = self._depths(states, silhouettes & overlap, box)[:, *window].argmin(axis=0)
+        depths = self._depths(states, silhouettes & overlap, box)
+        front = depths[(slice(None), *window)].argmin(axis=0)
         visible = silhouettes & ~overlap
         for arm, own in enumerate(visible):
             own[window] |= overlap[window] & (front == arm)

@@ -87,9 +87,7 @@ class VisibleScorer:
         return type(self), (self.instruments, self.camera, self.threads)  # without the scratch
 
     def _make_room(self, layers: int | None) -> None:
-        self._own = [
-            tuple(arm_scratch(arm, self._lens, layers) for arm in self._arms) for _ in range(self.threads)
-        ]
+        self._own = [tuple(arm_scratch(arm, self._lens, layers) for arm in self._arms) for _ in range(self.threads)]
         self._layers = [len(one.rows.merged) for one in self._own[0]]
         self._both = [pair_scratch(self._lens, sum(self._layers)) for _ in range(self.threads)]
 
