@@ -200,7 +200,7 @@ class ViewLoss:
 
     def observe(self, view: View) -> None:
         """Take the frame that the next calls score against."""
-        self._reference = Reference(view.mask)
+        self._reference = None
         self._view = view
         self.change = ChangeOfView(view.T_view_cam)
 
@@ -211,8 +211,10 @@ class ViewLoss:
         Raises:
             RuntimeError: No frame has been observed.
         """
-        if self._reference is None:
+        if self._view is None:
             raise RuntimeError("observe a frame before scoring candidates")
+        if self._reference is None:  # arms that have masks of their own do without
+            self._reference = Reference(self._view.mask)
         return self._reference
 
     @property

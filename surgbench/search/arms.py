@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -10,12 +9,11 @@ from surgbench.contract import Mask
 from surgbench.geometry import FloatArray
 from surgbench.metrics import OUT_OF_VIEW_SHARE
 from surgbench.pair_objective import PairObjective
+from surgbench.search.nearer import COARSE, ways
 from surgbench.state import split_arms
 
 # An arm of whose silhouette less is seen is behind the other: nothing tells of it.
 LEAST_SEEN = 0.1
-# Pixels that no arm explains are shared out in a picture of so many times fewer rows and columns.
-COARSE = 4
 
 
 def arm_confidence(objective: PairObjective, state: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
@@ -33,24 +31,22 @@ def arm_confidence(objective: PairObjective, state: FloatArray) -> tuple[FloatAr
     Returns:
         ``(2,)`` from 0 to 1, and ``(2,)`` bool.
     """
-    own = objective.views[0].change.states(state)
-    seen = objective.scorers[0].visibility.visible_masks(own)
-    area = seen.sum(axis=(1, 2))
-    whole = objective.scorers[0].visibility.silhouettes(own).sum(axis=(1, 2))
-    camera = objective.camera
-    hidden = area < np.maximum(LEAST_SEEN * whole, OUT_OF_VIEW_SHARE * camera.width * camera.height)
+    view, scorer, camera = objective.views[0], objective.scorers[0], objective.camera
+    own = view.change.states(state)
+    observed = objective.own_masks(0) if objective.tells_apart else (view.reference,) * 2
+    score = scorer.score(own[None], observed)
+    area, common, whole = score.area[0], score.overlap[0], score.silhouette[0]
+    seen = scorer.visibility.visible_masks(own)
+    least = OUT_OF_VIEW_SHARE * camera.width * camera.height
+    hidden = area < np.maximum(LEAST_SEEN * whole, least)
     hidden |= _tool_behind(objective, own, seen)
     if objective.tells_apart:
-        observed = [reference.mask for reference in objective.own_masks(0)]
-        missing = [int((mask & ~one).sum()) for mask, one in zip(observed, seen, strict=True)]
-        empty = np.array([mask.mean() < OUT_OF_VIEW_SHARE for mask in observed])
-        hidden |= empty
+        areas = np.array([reference.area for reference in observed])
+        missing = areas - common
+        hidden |= areas / (camera.width * camera.height) < OUT_OF_VIEW_SHARE
     else:
-        mask = objective.views[0].reference.mask
-        observed = [mask, mask]
-        missing = _shared_out(mask & ~seen.any(axis=0), seen)
-    common = np.array([int((mask & one).sum()) for mask, one in zip(observed, seen, strict=True)])
-    confidence = common / np.maximum(area + np.array(missing), 1)
+        missing = np.array(_shared_out(observed[0].mask & ~(seen[0] | seen[1]), seen))
+    confidence = common / np.maximum(area + missing, 1)
     return np.where(hidden, 0.0, confidence), hidden
 
 
@@ -72,12 +68,7 @@ def _shared_out(unexplained: Mask, seen: NDArray[np.bool_]) -> list[int]:
     coarse = unexplained[::COARSE, ::COARSE]
     if not coarse.any():
         return [0, 0]
-    ways = [
-        cv2.distanceTransform((~one[::COARSE, ::COARSE]).astype(np.uint8), cv2.DIST_L2, 3)
-        if one[::COARSE, ::COARSE].any()
-        else np.full(coarse.shape, np.inf)
-        for one in seen
-    ]
-    share = float((ways[0] <= ways[1])[coarse].mean())
-    total = int(unexplained.sum())
+    left, right = ways(seen)
+    share = float((left <= right)[coarse].mean())
+    total = int(np.count_nonzero(unexplained))
     return [round(share * total), round((1 - share) * total)]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import operator
 import os
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from functools import lru_cache
 from typing import Any, NamedTuple
@@ -168,6 +168,18 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_helpers.cache_clear)  # threads do not come along
 
 
+def most_of(work: Callable[[int], int], threads: int) -> int:
+    """The greatest of what ``work`` returns when each of some threads is given its number."""
+    if threads == 1:
+        return work(0)
+    helpers = [_helpers(threads).submit(work, thread) for thread in range(1, threads)]
+    try:
+        own = work(0)
+    finally:
+        wait(helpers)  # also when interrupted: they write into an evaluator's scratch
+    return max([own, *(helper.result() for helper in helpers)])
+
+
 class SilhouetteEvaluator:
     """Counts the pixels that instruments cover, for many states at once.
 
@@ -313,14 +325,7 @@ class SilhouetteEvaluator:
             scratch = self._contours[thread], self._rows[thread]
             return int(kernel.score(batch, *self._fixed, *scratch, sums.prefix, counts, taken, thread, self.threads))
 
-        if self.threads == 1:
-            return work(0)
-        helpers = [_helpers(self.threads).submit(work, thread) for thread in range(1, self.threads)]
-        try:
-            layers = work(0)
-        finally:
-            wait(helpers)  # also when interrupted: they write into this evaluator's scratch
-        return max([layers, *(helper.result() for helper in helpers)])
+        return most_of(work, self.threads)
 
     def gradient(self, states: ArrayLike, reference: Reference) -> Gradient:
         """Derivatives of area and overlap with respect to each state.

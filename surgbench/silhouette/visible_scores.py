@@ -1,24 +1,24 @@
-"""Scores batches of candidate states of several arms, each arm by what is seen of it against a mask of its own.
-
-What an arm covers alone is counted without an image. Only states whose arms overlap in the picture are looked at pixel
-by pixel, and of those only the box in which they may: there, what an arm hides of another is counted and taken off.
-"""
+"""Scores batches of candidate states of several arms, each arm by what is seen of it against a mask of its own."""
 
 from __future__ import annotations
 
+import operator
+import threading
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surgbench.camera import Camera
-from surgbench.compiled import compiled
-from surgbench.geometry import FloatArray
+from surgbench.camera import NEAR_M, Camera
 from surgbench.instrument import Instrument
-from surgbench.silhouette.evaluator import Reference
-from surgbench.silhouette.visibility import VisibilityEvaluator, nearest_surface_in, nearness_bounds
-from surgbench.state import STATE_SIZE, split_arms
+from surgbench.silhouette.evaluator import Reference, most_of
+from surgbench.silhouette.layout import assemble, lens
+from surgbench.silhouette.overlaps import Arm, arm_scratch, pair_scratch, score_pairs
+from surgbench.silhouette.visibility import VisibilityEvaluator
+from surgbench.state import STATE_SIZE
+
+PAIR = 2
 
 
 class VisibleScore(NamedTuple):
@@ -38,11 +38,19 @@ class VisibleScore(NamedTuple):
 class VisibleScorer:
     """Counts what is seen of each of several arms, for many states at once.
 
-    The counts are those of the masks that a :class:`VisibilityEvaluator` makes.
+    The counts are those of the masks that a :class:`VisibilityEvaluator` makes; of two arms without making them
+    (:mod:`surgbench.silhouette.overlaps`). Calls from several threads wait for one another.
 
     Args:
         instruments: One per arm; states have ``9 * len(instruments)`` components.
         camera: The view.
+        threads: How many threads share a batch, of two arms. The counts are the same for any number.
+
+    Attributes:
+        visibility: Makes the masks.
+
+    Raises:
+        ValueError: A link's mesh is not closed, or there is no thread.
 
     Example:
         Two shafts that lie level across the whole image, the right one nearer, and the left one in its shadow:
@@ -60,19 +68,28 @@ class VisibleScorer:
         (array([[   0, 2080]]), array([[1760, 2080]]))
     """
 
-    def __init__(self, instruments: Sequence[Instrument], camera: Camera) -> None:
+    def __init__(self, instruments: Sequence[Instrument], camera: Camera, threads: int = 1) -> None:
+        if operator.index(threads) < 1:
+            raise ValueError(f"threads must be at least 1, got {threads}")
         self.instruments = tuple(instruments)
         self.camera = camera
+        self.threads = threads
         self.visibility = VisibilityEvaluator(instruments, camera)
-        shape = (len(instruments), camera.height, camera.width)
-        self._images = np.zeros(shape, dtype=bool)
-        self._depths = np.empty(shape)
-        self._wanted = np.zeros(shape[1:], dtype=bool)
-        self._room = np.empty(shape[1:], dtype=np.int32)
-        self._seen = [np.empty_like(arm.vertices_m) for arm in self.visibility.arms]
+        self._lens = lens(camera, NEAR_M)
+        self._lock = threading.Lock()
+        if len(self.instruments) == PAIR:
+            left, right = self.instruments
+            one = Arm(*assemble([left]))
+            self._arms = one, one if right is left else Arm(*assemble([right]))
+            self._make_room(None)
 
     def __reduce__(self) -> tuple[type, tuple[Any, ...]]:
-        return type(self), (self.instruments, self.camera)  # without the scratch
+        return type(self), (self.instruments, self.camera, self.threads)  # without the scratch
+
+    def _make_room(self, layers: int | None) -> None:
+        self._own = [tuple(arm_scratch(arm, self._lens, layers) for arm in self._arms) for _ in range(self.threads)]
+        self._layers = [len(one.rows.merged) for one in self._own[0]]
+        self._both = [pair_scratch(self._lens, sum(self._layers)) for _ in range(self.threads)]
 
     def score(self, states: ArrayLike, references: Sequence[Reference]) -> VisibleScore:
         """Areas and overlaps of what is seen.
@@ -84,154 +101,50 @@ class VisibleScorer:
         Raises:
             ValueError: Wrong shape of states or masks.
         """
-        arms = self.visibility.arms
         batch = np.array(states, dtype=np.float64, order="C")
-        if batch.ndim != 2 or batch.shape[1] != STATE_SIZE * len(arms):
-            raise ValueError(f"states must have shape (N, {STATE_SIZE * len(arms)}); got {batch.shape}")
+        if batch.ndim != 2 or batch.shape[1] != STATE_SIZE * len(self.instruments):
+            raise ValueError(f"states must have shape (N, {STATE_SIZE * len(self.instruments)}); got {batch.shape}")
+        shapes = [reference.mask.shape for reference in references]
+        if shapes != [(self.camera.height, self.camera.width)] * len(self.instruments):
+            raise ValueError(
+                f"each of {len(self.instruments)} arms needs a mask (H, W) of the camera's "
+                f"({self.camera.height}, {self.camera.width}); got {shapes}"
+            )
         batch[~np.isfinite(batch).all(axis=1)] = np.nan  # one broken arm leaves nothing
-        parts = split_arms(batch)
-        alone = [
-            arm.evaluator.score(parts[:, place], reference)
-            for place, (arm, reference) in enumerate(zip(arms, references, strict=True))
-        ]
-        silhouette = np.stack([score.area for score in alone], axis=1)
-        overlap = np.stack([score.overlap for score in alone], axis=1)
-        boxes = np.stack([score.box for score in alone])
-        hidden = np.zeros((len(batch), len(arms), 2), dtype=np.int64)
-        common = _common(boxes)
-        close = np.flatnonzero((common[:, 0] < common[:, 1]) & (common[:, 2] < common[:, 3]))
-        if len(close):
-            masks = np.stack([reference.mask for reference in references])
-            placed = [arm.instrument.link_transforms(parts[close, place]) for place, arm in enumerate(arms)]
-            for index, number in enumerate(close):
-                transforms = [links[index] for links in placed]
-                self._count_hidden(parts[number], transforms, tuple(common[number]), masks, hidden[number])
-        return VisibleScore(silhouette - hidden[..., 0], overlap - hidden[..., 1], silhouette)
+        return self._score_pairs(batch, references) if len(self.instruments) == PAIR else self._paint(batch, references)
 
-    def _count_hidden(
-        self, states: FloatArray, transforms: list[FloatArray], box: Any, masks: NDArray[np.bool_], hidden: Any
-    ) -> None:
-        """Pixels ``(arms, 2)`` of each arm that another hides, and those of them that are in the arm's mask."""
-        for arm, state, image in zip(self.visibility.arms, states, self._images, strict=True):
-            arm.evaluator.paint(state, image)
-        found = _overlap_in(self._images, box, self._wanted)
-        if found[0] < found[1]:
-            points = [arm.points_of(links) for arm, links in zip(self.visibility.arms, transforms, strict=True)]
-            for part in self._count_in_order(points, found, masks, hidden) if len(points) == 2 else [found]:
-                self._count_by_pixel(points, part, masks, hidden)
-        self._images[:] = False
+    def _score_pairs(self, batch: NDArray[np.float64], references: Sequence[Reference]) -> VisibleScore:
+        counts, hidden = np.empty((2, 6, len(batch)), np.int64), np.empty((2, 2, len(batch)), np.int64)
+        prefixes = references[0].prefix, references[1].prefix
+        with self._lock:
+            while not self._fits(self._count_in_threads(batch, prefixes, counts, hidden)):
+                pass
+        left = counts[:, :2] - hidden
+        return VisibleScore(left[:, 0].T, left[:, 1].T, counts[:, 0].T)
 
-    def _count_in_order(
-        self, points: list[FloatArray], box: Any, masks: NDArray[np.bool_], hidden: Any
-    ) -> list[tuple[int, int, int, int]]:
-        """Count of two arms the pixels of tiles in which one is in front wherever both are; returns the other tiles."""
-        tiles = [-(-(box[end] - box[begin]) // TILE_PX) for begin, end in ((0, 1), (2, 3))]
-        bounds = np.empty((2, *tiles, 2))
-        for arm, own, seen, each in zip(self.visibility.arms, points, self._seen, bounds, strict=True):
-            nearness_bounds(own, arm.faces, self.visibility.lens, box, TILE_PX, seen, each)
-        unsure = np.zeros(tiles, dtype=bool)
-        _count_tiles(self._wanted, masks, box, bounds, hidden, unsure)
-        top, bottom, left, right = box
-        return [
-            (v, min(v + TILE_PX, bottom), u, min(u + TILE_PX, right))
-            for row, column in zip(*np.nonzero(unsure), strict=True)
-            for v, u in [(top + int(row) * TILE_PX, left + int(column) * TILE_PX)]
-        ]
+    def _count_in_threads(self, batch: Any, prefixes: Any, counts: Any, hidden: Any) -> int:
+        taken = np.zeros(len(batch), bool)
 
-    def _count_by_pixel(self, points: list[FloatArray], box: Any, masks: NDArray[np.bool_], hidden: Any) -> None:
-        """Count what is hidden in a box that holds pixels of several arms."""
-        scratch = zip(self._images, self._seen, self._depths, strict=True)
-        for arm, own, (image, seen, depth) in zip(self.visibility.arms, points, scratch, strict=True):
-            # Of two arms both cover all of these pixels; of more, not all do.
-            wanted = self._wanted if len(points) == 2 else image & self._wanted
-            nearest_surface_in(own, arm.faces, self.visibility.lens, wanted, box, self._room, seen, depth)
-        _count(self._images, self._depths, self._wanted, masks, box, hidden)
+        def work(thread: int) -> int:
+            scratch = self._own[thread], self._both[thread]
+            fixed = self._arms, self._lens
+            return int(score_pairs(batch, *fixed, *scratch, prefixes, counts, hidden, taken, thread, self.threads))
 
+        return most_of(work, self.threads)
 
-# Sides of the tiles in which the order of two arms is asked for.
-TILE_PX = 32
-# What rounding may do to an inverse depth.
-ROUNDING = 1e-9
+    def _fits(self, layers: int) -> bool:
+        """Whether there was room for so many spans in a row; if not, makes room for twice as many."""
+        if layers < min(self._layers) - 1:
+            return True
+        self._make_room(2 * max(self._layers))
+        return False
 
-
-def _common(boxes: NDArray[np.int64]) -> NDArray[np.int64]:
-    """``(N, 4)`` first row, row after the last, first column and column after the last where two arms may overlap.
-
-    Args:
-        boxes: ``(arms, N, 4)`` first column, first row, and the column and row after the last.
-    """
-    arms, count = boxes.shape[:2]
-    low, high = np.full((count, 2), np.iinfo(np.int64).max), np.zeros((count, 2), dtype=np.int64)
-    for one in range(arms):
-        for other in range(one):
-            first = np.maximum(boxes[one, :, :2], boxes[other, :, :2])
-            last = np.minimum(boxes[one, :, 2:], boxes[other, :, 2:])
-            meet = (first < last).all(axis=1, keepdims=True)
-            low, high = np.where(meet, np.minimum(low, first), low), np.where(meet, np.maximum(high, last), high)
-    return np.stack([low[:, 1], high[:, 1], low[:, 0], high[:, 0]], axis=1)
-
-
-@compiled
-def _overlap_in(images: Any, box: Any, wanted: Any) -> Any:
-    """Mark within a box the pixels that several of the images ``(arms, H, W)`` cover; returns the box of those."""
-    top, bottom, left, right = box[1], box[0], box[3], box[2]
-    for row in range(box[0], box[1]):
-        line = wanted[row, box[2] : box[3]]
-        line[:] = False
-        for one in range(1, images.shape[0]):
-            first = images[one, row, box[2] : box[3]]
-            for other in range(one):
-                second = images[other, row, box[2] : box[3]]
-                for place in range(line.shape[0]):
-                    line[place] |= first[place] & second[place]
-        begin, end = 0, line.shape[0]
-        while begin < end and not line[begin]:
-            begin += 1
-        while begin < end and not line[end - 1]:
-            end -= 1
-        if begin < end:
-            top, bottom = min(top, row), max(bottom, row + 1)
-            left, right = min(left, box[2] + begin), max(right, box[2] + end)
-    return top, bottom, left, right
-
-
-@compiled
-def _count_tiles(wanted: Any, masks: Any, box: Any, bounds: Any, hidden: Any, unsure: Any) -> None:
-    """Add up, tile by tile, the pixels of the arm that is behind; marked are tiles that have some and tell no order."""
-    for row in range(bounds.shape[1]):
-        for column in range(bounds.shape[2]):
-            first, second = bounds[0, row, column], bounds[1, row, column]
-            back = 1
-            if second[0] > first[1] * (1 + ROUNDING):
-                back = 0
-            elif not first[0] > second[1] * (1 + ROUNDING):
-                back = -1
-            pixels, own = 0, 0
-            left = box[2] + column * TILE_PX
-            right = min(left + TILE_PX, box[3])
-            for v in range(box[0] + row * TILE_PX, min(box[0] + (row + 1) * TILE_PX, box[1])):
-                for u in range(left, right):
-                    pixels += wanted[v, u]
-                    own += wanted[v, u] & masks[back, v, u]
-            if back >= 0:
-                hidden[back, 0] += pixels
-                hidden[back, 1] += own
-            else:
-                unsure[row, column] = pixels > 0
-
-
-@compiled
-def _count(images: Any, depths: Any, wanted: Any, masks: Any, box: Any, hidden: Any) -> None:
-    """Add up what each arm has of the pixels that several cover and in which another one is nearer."""
-    for row in range(box[0], box[1]):
-        for column in range(box[2], box[3]):
-            if not wanted[row, column]:
-                continue
-            front, nearest = -1, np.inf
-            for arm in range(images.shape[0]):
-                if images[arm, row, column] and depths[arm, row, column] < nearest:
-                    front, nearest = arm, depths[arm, row, column]
-            for arm in range(images.shape[0]):
-                if images[arm, row, column] and arm != front:
-                    hidden[arm, 0] += 1
-                    hidden[arm, 1] += masks[arm, row, column]
+    def _paint(self, batch: NDArray[np.float64], references: Sequence[Reference]) -> VisibleScore:
+        """Of any number of arms, by their masks."""
+        masks = np.stack([reference.mask for reference in references])
+        alone = np.array([self.visibility.silhouettes(state).sum(axis=(1, 2)) for state in batch])
+        seen = [self.visibility.visible_masks(state) for state in batch]
+        area = np.array([one.sum(axis=(1, 2)) for one in seen])
+        overlap = np.array([(one & masks).sum(axis=(1, 2)) for one in seen])
+        shape = len(batch), len(masks)
+        return VisibleScore(area.reshape(shape), overlap.reshape(shape), alone.reshape(shape))

@@ -15,8 +15,9 @@ from surgbench.camera import NEAR_M, Camera
 from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument, load_instrument
 from surgbench.silhouette import Reference, SilhouetteEvaluator, VisibleScorer
+from surgbench.silhouette.depths import nearest_surface
 from surgbench.silhouette.layout import Lens
-from surgbench.silhouette.visibility import VisibilityEvaluator, nearest_surface
+from surgbench.silhouette.visibility import VisibilityEvaluator
 
 DRIVER = load_instrument("large_needle_driver")
 
@@ -53,6 +54,17 @@ def cast(instrument: Instrument, state: FloatArray, ray: FloatArray, near_m: flo
         depths += z[hit & (determinant > 0)].tolist()
         margin = min(margin, np.nanmin(np.abs([u, v, 1 - u - v, (z - near_m) / near_m])))
     return (near_m if inside > 0 else min(depths)), margin
+
+
+def surface(points: FloatArray, faces: Any, lens: Lens, wanted: Any) -> FloatArray:
+    """Depths of a mesh in the whole picture."""
+    depth, room = np.empty(wanted.shape), np.empty(wanted.shape, np.int32)
+    z = points[:, 2]
+    seen = np.stack([lens.fx * points[:, 0] / z + lens.cx, lens.fy * points[:, 1] / z + lens.cy, 1 / z], axis=-1)
+    box = 0, wanted.shape[0], 0, wanted.shape[1]
+    cut = bool((z <= lens.near).any())
+    nearest_surface(points, seen, faces, cut, lens, wanted, box, room, np.empty((4, 3)), depth)
+    return depth
 
 
 driver_states = st.tuples(
@@ -184,16 +196,15 @@ def test_pixel_that_no_face_covers_takes_the_nearest_edge() -> None:
     box = trimesh.creation.box(bounds=[[0, 0, 1], [3, 3, 2]])
     wanted = np.zeros((8, 8), dtype=bool)
     wanted[2:6, 2:6] = True
-    depth = np.empty((8, 8))
     lens = Lens(16, 16, 1.0, 1.0, 2.0, 2.0, NEAR_M)
-    nearest_surface(np.array(box.vertices), np.array(box.faces, dtype=np.int32), lens, wanted, depth)
+    depth = surface(np.array(box.vertices), np.array(box.faces, dtype=np.int32), lens, wanted)
     assert np.array_equal(depth, np.where(wanted, 1.0, np.inf))
 
 
 def test_face_seen_edge_on_is_nowhere_deeper_than_its_corners() -> None:
     """Its plane holds the ray, so that the depth there is 0 / 0 but for rounding."""
     lens, rng = Lens(88, 62, 113.2, 113.1, 36.3, 29.4, NEAR_M), np.random.default_rng(0)
-    wanted, depth = np.zeros((62, 88), dtype=bool), np.empty((62, 88))
+    wanted = np.zeros((62, 88), dtype=bool)
     faces = np.array([[0, 1, 2], [0, 2, 1]], dtype=np.int32)
     for _ in range(200):
         row, column = rng.integers(5, 57), rng.integers(88)
@@ -201,7 +212,7 @@ def test_face_seen_edge_on_is_nowhere_deeper_than_its_corners() -> None:
         points = np.stack([(column - lens.cx) / lens.fx * z, (v - lens.cy) / lens.fy * z, z], axis=-1)
         wanted[:] = False
         wanted[row, column] = True
-        nearest_surface(points, faces, lens, wanted, depth)
+        depth = surface(points, faces, lens, wanted)
         assert z.min() <= depth[row, column] * (1 + 1e-12)
         assert depth[row, column] <= z.max() * (1 + 1e-12)
 
@@ -250,6 +261,23 @@ def test_scores_are_the_counts_of_the_visible_masks(
             assert score.area[number].tolist() == visible.sum(axis=(1, 2)).tolist()
             assert score.overlap[number].tolist() == (visible & masks).sum(axis=(1, 2)).tolist()
             assert score.silhouette[number].tolist() == visibility.silhouettes(state).sum(axis=(1, 2)).tolist()
+
+
+@settings(max_examples=60)
+@given(left=driver_states, offset=st.tuples(*[st.floats(-1, 1)] * 9).map(np.array), exponent=st.floats(-9, -1))
+def test_arms_that_run_through_each_other_are_counted_as_their_masks(
+    small_camera: Camera, left: FloatArray, offset: FloatArray, exponent: float
+) -> None:
+    """However near to each other, in any number of threads; a broken state among them changes nothing."""
+    states = np.array([[*left, *(left + 10**exponent * offset)], [*left, *left], [*left, *(np.nan * left)]])
+    scorer, shared = (VisibleScorer([DRIVER] * 2, small_camera, threads=threads) for threads in (1, 2))
+    masks = scorer.visibility.silhouettes(states[1])
+    references = [Reference(mask) for mask in masks]
+    score = scorer.score(states, references)
+    visible = np.array([scorer.visibility.visible_masks(state) for state in states])
+    assert np.array_equal(score.area, visible.sum(axis=(2, 3)))
+    assert np.array_equal(score.overlap, (visible & masks).sum(axis=(2, 3)))
+    assert all(np.array_equal(*pair) for pair in zip(score, shared.score(states, references), strict=True))
 
 
 def test_of_three_arms_each_hides_what_is_behind_it(small_camera: Camera) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-import cv2
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
@@ -12,6 +11,7 @@ from surgbench.camera.change_of_view import ChangeOfView
 from surgbench.contract import Mask, Observation, Scene, View
 from surgbench.geometry import FloatArray
 from surgbench.keypoints.found import Tips
+from surgbench.search.nearer import COARSE, ways
 from surgbench.silhouette import VisibilityEvaluator
 from surgbench.state import split_arms
 from surgbench.trackers.arm_masks import mask_per_arm
@@ -22,8 +22,6 @@ TURNED_SHARE = 0.5
 # image's width; and two that are nearer to each other are one.
 REACH_SHARE = 0.1
 SAME_PX = 4.0
-# Pixels that no predicted silhouette covers go to the nearer one in a picture of so many times fewer rows and columns.
-COARSE = 4
 
 
 class ArmTips:
@@ -82,12 +80,7 @@ class ArmTips:
         """The mask's pixels of each arm: those of its silhouette, and of those that no arm covers the nearer ones."""
         place = next(k for k, one in enumerate(self._scene.views) if one.camera == view.camera)
         covered = self._evaluators[place].silhouettes(self._own(observation, view))
-        coarse = covered[:, ::COARSE, ::COARSE]
-        ways = [
-            cv2.distanceTransform((~one).astype(np.uint8), cv2.DIST_L2, 3) if one.any() else np.full(one.shape, np.inf)
-            for one in coarse
-        ]
-        nearest = np.argmin(ways, axis=0).repeat(COARSE, axis=0).repeat(COARSE, axis=1)
+        nearest = ways(covered).argmin(axis=0).repeat(COARSE, axis=0).repeat(COARSE, axis=1)
         nearest = nearest[: view.mask.shape[0], : view.mask.shape[1]]
         nobody = ~covered.any(axis=0)
         return [view.mask & (own | (nobody & (nearest == arm))) for arm, own in enumerate(covered)]
