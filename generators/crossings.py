@@ -18,7 +18,6 @@ from surgbench.generators.coordinates import Coordinates
 from surgbench.generators.place import BoolArray, clearance_m
 from surgbench.generators.sections import Crossing
 from surgbench.geometry import FloatArray, look_at_rotation
-from surgbench.instrument import Instrument
 from surgbench.silhouette import SilhouetteEvaluator, VisibilityEvaluator
 from surgbench.state import ANGLES, POSITION
 
@@ -86,9 +85,7 @@ class Pair:
         self.gap_m = gap_m
         self._instrument = arms[0].place.instrument
         self._camera = arms[0].place.camera.pinhole
-        shaft = self._instrument.spec.links[0].name
-        body = {name: mesh for name, mesh in self._instrument.meshes.items() if name != shaft}
-        self._tool = SilhouetteEvaluator([Instrument(self._instrument.spec, body)], self._camera)
+        self._tool = SilhouetteEvaluator([self._instrument.without_shaft], self._camera)
         self._visibility = VisibilityEvaluator([self._instrument] * 2, self._camera)
 
     def states(self, values: FloatArray) -> FloatArray:

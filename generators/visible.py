@@ -79,9 +79,7 @@ class ArmsRenderer:
         self._alone = [renderer([instrument]) for _ in range(2)]
         if told_apart:
             self._pair, self._third = renderer([instrument] * 2), renderer([instrument])
-            shaft = instrument.spec.links[0].name
-            body = {name: mesh for name, mesh in instrument.meshes.items() if name != shaft}
-            self._tool = renderer([Instrument(instrument.spec, body)])
+            self._tool = renderer([instrument.without_shaft])
 
     def alone(self, states: FloatArray) -> NDArray[np.bool_]:
         """Each arm as if the other were not there, ``(2, height, width)`` of states ``(2, 9)``."""

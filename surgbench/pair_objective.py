@@ -9,7 +9,7 @@ from surgbench.contract import Observation, Scene
 from surgbench.errors import SurgbenchError
 from surgbench.geometry import FloatArray
 from surgbench.objective import LossWeights, Objective
-from surgbench.silhouette import Reference, VisibleScore, VisibleScorer
+from surgbench.silhouette import Reference, SilhouetteEvaluator, VisibleScore, VisibleScorer
 
 # Masks are taken to be each under the other arm's name only where the search begins that much nearer to them so.
 TURNED_SHARE = 0.5
@@ -30,6 +30,7 @@ class PairObjective(Objective):
 
     Attributes:
         scorers: What is seen of each arm, of each view.
+        tools: Silhouettes of each arm's wrist and jaws in the reference view.
         turned: Whether the masks of the frame are taken to be exchanged.
 
     Example:
@@ -54,6 +55,10 @@ class PairObjective(Objective):
     def __init__(self, scene: Scene, weights: LossWeights) -> None:
         super().__init__(scene, weights)
         self.scorers = tuple(VisibleScorer(scene.instruments, view.camera) for view in scene.views)
+        tools = [instrument.without_shaft for instrument in scene.instruments]
+        self.tools = tuple(
+            SilhouetteEvaluator([tool], scene.views[0].camera) if tool.meshes else None for tool in tools
+        )
         self._references: list[tuple[Reference, ...]] | None = None
         self._named = False
         self.turned = False

@@ -81,6 +81,12 @@ class Instrument:
         return seen
 
     @cached_property
+    def without_shaft(self) -> Instrument:
+        """Its wrist and jaws: the same without the mesh of its first link."""
+        shaft = self.spec.links[0].name
+        return Instrument(self.spec, {name: mesh for name, mesh in self.meshes.items() if name != shaft})
+
+    @cached_property
     def link_index(self) -> dict[str, int]:
         """Link name to its place in the chain."""
         return {link.name: index for index, link in enumerate(self.spec.links)}

@@ -12,7 +12,7 @@ from surgbench.contract import Estimate, InstrumentTracker, Observation, Scene, 
 from surgbench.geometry import FloatArray
 from surgbench.objective import LossWeights, Objective
 from surgbench.pair_objective import PairObjective
-from surgbench.search.arms import arm_confidence
+from surgbench.search.arms import fit_of_arms
 from surgbench.search.pair_options import WithPairOptions
 from surgbench.search.spaces import SearchSpaces
 from surgbench.state import JointLimits, clip_joints
@@ -102,8 +102,8 @@ class DescentTracker(InstrumentTracker):
             self.trace.states += [state[None] for state in states]
             self.trace.losses += [loss[None] for loss in losses]
         if self._pair is not None:
-            confidence, hidden = arm_confidence(self._pair, states[chosen])
-            return Estimate(states[chosen], confidence, hidden | (confidence < self._options.lost_iou))
+            fit = fit_of_arms(self._pair, states[chosen])
+            return Estimate(states[chosen], fit.confidence, fit.hidden | (fit.overlap < self._options.lost_iou))
         iou = float(ious[chosen])
         return Estimate(states[chosen], confidence=iou, lost=iou < self._options.lost_iou)
 

@@ -14,7 +14,7 @@ from surgbench.contract import Estimate, InstrumentTracker, Observation, Scene, 
 from surgbench.geometry import FloatArray
 from surgbench.objective import LossWeights, Objective
 from surgbench.pair_objective import PairObjective
-from surgbench.search.arms import arm_confidence
+from surgbench.search.arms import fit_of_arms
 from surgbench.search.pair_options import WithPairOptions
 from surgbench.search.spaces import SearchSpaces
 from surgbench.state import StateSpace, split_arms
@@ -117,8 +117,8 @@ class SamplingTracker(InstrumentTracker):
         else:
             best_state, best_iou = self._best_of_all(self._search(begin), space, observation.start)
         if isinstance(self._objective, PairObjective):
-            confidence, hidden = arm_confidence(self._objective, best_state)
-            return Estimate(best_state, confidence, hidden | (confidence < self._options.lost_iou))
+            fit = fit_of_arms(self._objective, best_state)
+            return Estimate(best_state, fit.confidence, fit.hidden | (fit.overlap < self._options.lost_iou))
         # With an empty mask the best sample is one out of the picture, and two empty masks overlap perfectly.
         lost = best_iou < self._options.lost_iou or not observation.mask.any()
         return Estimate(best_state, confidence=float(best_iou), lost=bool(lost))

@@ -16,7 +16,7 @@ from surgbench.errors import SurgbenchError
 from surgbench.geometry import FloatArray
 from surgbench.objective import LossWeights, Objective
 from surgbench.pair_objective import PairObjective
-from surgbench.search.arms import arm_confidence
+from surgbench.search.arms import fit_of_arms
 from surgbench.silhouette import VisibilityEvaluator
 from surgbench.state import split_arms
 from surgbench.trackers.adam import AdamTracker
@@ -220,13 +220,28 @@ def test_the_arm_that_is_elsewhere_is_the_one_that_is_lost(camera: Camera, with_
     frame = told(scene, truth) if with_masks else observe(scene, truth)
     objective = PairObjective(scene, MASKS_ALONE)
     objective.observe(frame)
-    np.testing.assert_array_equal(arm_confidence(objective, truth)[0], [1.0, 1.0])
+    np.testing.assert_array_equal(fit_of_arms(objective, truth).overlap, [1.0, 1.0])
     for arm in range(2):
         wrong = truth.copy()
         split_arms(wrong)[arm, 4] += 0.03
-        confidence, hidden = arm_confidence(objective, wrong)
-        assert confidence[arm] < 0.5 < confidence[1 - arm]
-        assert not hidden.any()
+        fit = fit_of_arms(objective, wrong)
+        assert fit.confidence[arm] <= fit.overlap[arm] < 0.5 < fit.confidence[1 - arm]
+        assert not fit.hidden.any()
+
+
+@pytest.mark.parametrize("with_masks", [False, True])
+def test_jaws_that_are_elsewhere_are_doubted_though_the_shaft_overlaps(camera: Camera, with_masks: bool) -> None:
+    scene, truth = scene_of(camera, arms=2), np.tile(resting_state(), 2)
+    truth[[3, 12]] = -0.02, 0.02
+    frame = told(scene, truth) if with_masks else observe(scene, truth)
+    objective = PairObjective(scene, MASKS_ALONE)
+    objective.observe(frame)
+    for arm in range(2):
+        wrong = truth.copy()
+        split_arms(wrong)[arm, 6:8] += 1.0
+        fit = fit_of_arms(objective, wrong)
+        assert fit.overlap[arm] > 0.6
+        assert fit.confidence[arm] < 0.5 < fit.confidence[1 - arm]
 
 
 @pytest.mark.parametrize("with_masks", [False, True])
@@ -236,10 +251,10 @@ def test_an_arm_behind_the_other_is_hidden(camera: Camera, with_masks: bool) -> 
     frame = told(scene, truth) if with_masks else observe(scene, truth)
     objective = PairObjective(scene, MASKS_ALONE)
     objective.observe(frame)
-    confidence, hidden = arm_confidence(objective, truth)
-    assert hidden.tolist() == [False, True]
-    assert confidence[0] > 0.9
-    assert confidence[1] == 0.0
+    fit = fit_of_arms(objective, truth)
+    assert fit.hidden.tolist() == [False, True]
+    assert fit.confidence[0] > 0.9
+    assert fit.confidence[1] == 0.0
 
 
 @pytest.mark.parametrize("make", [CmaesTracker, XnesTracker, PycmaTracker])
