@@ -12,7 +12,7 @@ from surgbench.contract import Estimate, Mask, Observation, Scene
 from surgbench.geometry import FloatArray
 from surgbench.metrics import OUT_OF_VIEW_SHARE
 from surgbench.objective import Objective
-from surgbench.silhouette import SilhouetteEvaluator
+from surgbench.silhouette import SilhouetteEvaluator, iou
 from surgbench.state import JOINTS, STATE_SCALE, STATE_SIZE, clip_joints
 from surgbench.timing import step_s
 from surgbench.trackers.registration.arrival import Whereabouts
@@ -231,12 +231,24 @@ class Follower:
         missed = missed_edge(observation.mask, silhouette, EXPLAINED_PX, JAW_PX, hidden)
         hypothesis.explained_mask = missed.explained
         hypothesis.missed_jaws = self._jaws(fit.state, fit.missed_px, fit.length_px, missed)
-        hypothesis.iou = float(self._objective.mismatch(fit.state[None])[1][0])
+        covered, shown = self._overlap(hypothesis, silhouette, observation)
         if hidden is not None:
-            covered, shown = np.count_nonzero(silhouette), np.count_nonzero(silhouette & ~hidden)
             hypothesis.hidden = covered > 0 and shown < max(TELLING_SHARE * covered, OUT_OF_VIEW_SHARE * hidden.size)
             if covered and fit.length_px.sum() < TELLING_PX:
                 hypothesis.explained = 1.0
+
+    def _overlap(self, hypothesis: Hypothesis, silhouette: Mask, observation: Observation) -> tuple[int, int]:
+        """Judge by the masks; returns how many pixels the silhouette covers, and in how many of them it would show."""
+        view = observation.views[0]
+        covered = shown = np.count_nonzero(silhouette) if isinstance(view, PartView) else 0
+        if isinstance(view, PartView):
+            shown = np.count_nonzero(silhouette & ~view.hidden)
+        if isinstance(view, PartView) and len(observation.views) == 1:  # counted here what would be counted anew
+            overlap, seen = np.count_nonzero(silhouette & view.mask), np.count_nonzero(view.mask)
+            hypothesis.iou = float(iou(np.array([shown]), np.array([overlap]), seen)[0])
+        else:
+            hypothesis.iou = float(self._objective.mismatch(hypothesis.state[None])[1][0])
+        return covered, shown
 
     def _frame_cost(self, hypothesis: Hypothesis) -> float:
         # A mask that is a pixel too large costs every hypothesis the same area, but leaves no edge unexplained.
