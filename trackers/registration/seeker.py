@@ -18,12 +18,15 @@ from surgbench.trackers.registration.fit import Fit, Prior
 from surgbench.trackers.registration.follower import ARRIVING, DRAWN, HIDDEN_M, Follower, share_of
 from surgbench.trackers.registration.hypothesis import SAME, Hypothesis
 from surgbench.trackers.registration.options import HybridOptions
-from surgbench.trackers.registration.proposals import Move, best_of_each, jump_cost, propose, slide, sweep_jaws
+from surgbench.trackers.registration.proposals import Move, anew, best_of_each, jump_cost, propose, slide, sweep_jaws
 
 # What may have changed while nothing was seen, once it is put where the mask is.
 AWAY = np.array([0.15, 0.7, 0.15, 1.2e-2, 1.2e-2, 2.5e-2, 0.5, 0.5, 0.4])
 # States drawn as is believed, and along the shaft, of an arm that was hidden.
 BELIEVED, SLID = 48, 240
+# Likewise with roll and joints anew, of one that does not fit: they may be anything, and few of them lead to the right
+# ones. Of these, so many of the best are refined.
+ANEW, ANEW_REFINED = 900, 8
 GLITCH = 3  # frames that do not fit, before which a hidden arm is not searched: a mask may err, and anything fits it
 LONG_UNFIT = 4  # frames in which no search helps, after which an arm is looked for as if it had been away
 LOOK_EVERY = 3  # frames
@@ -168,10 +171,17 @@ class Seeker(Follower):
                 self.hypotheses[0].belief.draw(BELIEVED, self._rng),
                 slide(centres, SLID, self._rng),
             ]
+            kinds = [Move.BELIEVED, Move.SLIDE]
+            if not known and self._unfit > 1:
+                more.append(anew(centres, ANEW, scene.joint_limits, self._rng))
+                kinds.append(Move.ANEW)
             states = np.concatenate([states, clip_joints(np.concatenate(more), scene.joint_limits)])
-            moves = np.append(moves, np.repeat([Move.BELIEVED, Move.SLIDE], [len(some) for some in more]))
+            moves = np.append(moves, np.repeat(kinds, [len(some) for some in more]))
         losses = self._objective(states)[0]
         order = best_of_each(losses, moves, options.refined)
+        scattered = np.flatnonzero(moves == Move.ANEW)
+        scattered = scattered[np.argsort(losses[scattered], kind="stable")[:ANEW_REFINED]]
+        order = np.append(order, np.setdiff1d(scattered, order))
         if options.generations:
             evolved, evolved_losses = self._evolve(states[int(np.argmin(losses))])
             states, losses = np.concatenate([states, evolved]), np.concatenate([losses, evolved_losses])
