@@ -50,7 +50,7 @@ BEST_JAWS = 0.15  # what masks leave unexplained of jaws that are right, of thei
 BEST_UNEXPLAINED = 0.02  # what masks leave unexplained of a right state
 # Of one of two arms. Tips that are known no better make the estimate a lost one; and better than so nothing is hidden.
 # What is believed of something hidden is as it says, unlike what edges tell (STATED).
-LOST_M, HIDDEN_M = 0.005, 0.002
+LOST_M, HIDDEN_M = 0.0035, 0.002
 GONE_M = 0.02  # a hidden arm may be anywhere, and hides nothing of the other
 # What no frame tells of moves on for so many seconds only, and then at such speeds: hands go to and fro.
 HIDDEN_SETTLES_S = 0.3

@@ -27,6 +27,7 @@ BELIEVED, SLID = 48, 240
 # Likewise with roll and joints anew, of one that does not fit: they may be anything, and few of them lead to the right
 # ones. Of these, so many of the best are refined.
 ANEW, ANEW_REFINED = 900, 8
+OFTEN = 8  # frames that do not fit, in which it is looked for so; then in every so many, for that takes long
 GLITCH = 3  # frames that do not fit, before which a hidden arm is not searched: a mask may err, and anything fits it
 LONG_UNFIT = 4  # frames in which no search helps, after which an arm is looked for as if it had been away
 LOOK_EVERY = 3  # frames
@@ -65,6 +66,11 @@ class Seeker(Follower):
         self._drawn = np.diag((STATE_SCALE / DRAWN) ** 2)
         self._pause = 0
         self._unfit = 0  # frames in a row in which one of two arms did not fit
+
+    @property
+    def unfit(self) -> bool:
+        """Whether the last frame did not fit, of one of two arms."""
+        return self._unfit > 0
 
     def step(self, observation: Observation) -> Estimate:
         """Follow every hypothesis; search where the best leaves edges unexplained; report the best."""
@@ -172,7 +178,7 @@ class Seeker(Follower):
                 slide(centres, SLID, self._rng),
             ]
             kinds = [Move.BELIEVED, Move.SLIDE]
-            if not known and self._unfit > 1:
+            if not known and self._unfit > 1 and (self._unfit <= OFTEN or self._unfit % OFTEN == 0):
                 more.append(anew(centres, ANEW, scene.joint_limits, self._rng))
                 kinds.append(Move.ANEW)
             states = np.concatenate([states, clip_joints(np.concatenate(more), scene.joint_limits)])
