@@ -229,7 +229,7 @@ def test_a_large_piece_that_nothing_shows_of_is_hidden(crossed: tuple[Scene, Flo
     assert not screen(silhouette, moved, nothing, moved, unfit=True).any()
     for unfit in (True, False):
         hidden = screen(silhouette, cut, nothing, cut, unfit=unfit)
-        assert hidden[silhouette & ~cut].mean() > 0.8
+        assert hidden[silhouette & ~cut].mean() > 0.7  # tips are narrower
         assert hidden[cut].mean() < 0.02
     assert not screen(silhouette, silhouette, nothing, silhouette, unfit=False).any()
     assert not screen(silhouette, cut, nothing, cut, unfit=False).any()

@@ -13,6 +13,7 @@ from surgbench.contract import Mask
 
 PIECE_PX = 9  # smallest side: what a prediction is off by is narrower
 FEW_PIXELS = 150
+SLIVER_PX = 3
 SPECK_PX = 5  # likewise, of what is seen elsewhere
 ELSEWHERE = 0.25  # of the missing piece's pixels, beyond which what is seen elsewhere may be the piece
 MARGIN_PX = 3
@@ -39,19 +40,28 @@ class Screen:
         """
         if not (unfit or self._stands):
             return hidden
-        self._stands = False
-        gone = silhouette & ~both & ~hidden
-        if np.count_nonzero(gone) < FEW_PIXELS:
+        piece = missing_piece(silhouette, mask, hidden, both)
+        self._stands = piece is not None
+        if piece is None:
             return hidden
-        piece = _opened(gone, PIECE_PX)
-        missing = np.count_nonzero(piece)
-        elsewhere = np.count_nonzero(_opened(mask & ~silhouette & ~hidden, SPECK_PX))
-        if missing < FEW_PIXELS or elsewhere > ELSEWHERE * missing:
-            return hidden
-        self._stands = True
         square = np.ones((2 * MARGIN_PX + 1, 2 * MARGIN_PX + 1), np.uint8)
         grown = cv2.dilate(piece.view(np.uint8), square).view(np.bool_)
         return np.asarray(hidden | grown)
+
+
+def missing_piece(silhouette: Mask, mask: Mask, hidden: Mask, both: Mask) -> Mask | None:
+    """``(H, W)`` a large piece of an arm that is not seen, nor anything that might be it; as for :class:`Screen`."""
+    gone = silhouette & ~both & ~hidden
+    if np.count_nonzero(gone) < FEW_PIXELS:
+        return None
+    piece = _opened(gone, PIECE_PX)
+    missing = np.count_nonzero(piece)
+    elsewhere = np.count_nonzero(_opened(mask & ~silhouette & ~hidden, SPECK_PX))
+    if missing < FEW_PIXELS or elsewhere > ELSEWHERE * missing:
+        return None
+    # With what hangs together with it, such as the ends of jaws, but for slivers along a shaft.
+    _, parts = cv2.connectedComponents(_opened(gone, SLIVER_PX).view(np.uint8))
+    return np.isin(parts, np.unique(parts[piece]))
 
 
 def _opened(mask: Mask, side_px: int) -> Mask:

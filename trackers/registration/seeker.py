@@ -18,7 +18,9 @@ from surgbench.trackers.registration.fit import Fit, Prior
 from surgbench.trackers.registration.follower import ARRIVING, DRAWN, HIDDEN_M, Follower, share_of
 from surgbench.trackers.registration.hypothesis import SAME, Hypothesis
 from surgbench.trackers.registration.options import HybridOptions
+from surgbench.trackers.registration.part import PartView
 from surgbench.trackers.registration.proposals import Move, anew, best_of_each, jump_cost, propose, slide, sweep_jaws
+from surgbench.trackers.registration.screen import missing_piece
 
 # What may have changed while nothing was seen, once it is put where the mask is.
 AWAY = np.array([0.15, 0.7, 0.15, 1.2e-2, 1.2e-2, 2.5e-2, 0.5, 0.5, 0.4])
@@ -102,6 +104,8 @@ class Seeker(Follower):
                 self._recover(best, observation)
         elif best.hidden or not alone or (best.off_m > HIDDEN_M and self._unfit < GLITCH):
             self._pause = 0
+        elif self._unfit == 1 and self._lacks_a_piece(best, observation):
+            self._pause = 0  # from the next frame on that is taken to be hidden
         elif self._part and options.samples and self._unfit > LONG_UNFIT and self._unfit % LONG_UNFIT == 0:
             self._recover(best, observation)
         elif seen and options.samples and not fits:
@@ -113,6 +117,14 @@ class Seeker(Follower):
             self._pause = 0
             if seen and options.samples and observation.joints is None and observation.index % LOOK_EVERY == 0:
                 self._look_at_jaws(best, last, observation)
+
+    def _lacks_a_piece(self, best: Hypothesis, observation: Observation) -> bool:
+        """Whether nothing is seen of a large piece of one of two arms."""
+        view = observation.views[0]
+        if not isinstance(view, PartView):
+            return False
+        silhouette = self.evaluator.mask(best.state)
+        return missing_piece(silhouette, view.mask, view.hidden, view.mask) is not None
 
     def _search(self, best: Hypothesis, last: FloatArray, observation: Observation) -> bool:
         """Draw, score and refine other states; the best of them becomes a hypothesis. Returns whether one did."""
