@@ -71,8 +71,8 @@ class Seeker(Follower):
 
     @property
     def unfit(self) -> bool:
-        """Whether the last frame did not fit, of one of two arms."""
-        return self._unfit > 0
+        """Whether the last frame did not fit one of two arms that was known well: it was where it was expected."""
+        return self._unfit > 0 and self.hypotheses[0].off_m <= HIDDEN_M
 
     def step(self, observation: Observation) -> Estimate:
         """Follow every hypothesis; search where the best leaves edges unexplained; report the best."""
