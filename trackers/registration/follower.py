@@ -57,6 +57,7 @@ HIDDEN_SETTLES_S = 0.3
 UNEXPLAINED_POWER = 3  # of what is explained, in its confidence
 UNFIT = 0.5  # of the confidence, where something has slipped that is searched for
 SLIPPED = 3  # frames that do not fit, after which an arm of two has to be seen to fit for it to be believed
+WELL_EXPLAINED = 0.95  # so much at least of what is right, in most frames
 TELLING_PX = 40.0  # of visible contour, below which no edge is missed
 TELLING_SHARE = 0.1  # of a silhouette, below which it is hidden
 
@@ -211,8 +212,10 @@ class Follower:
         self._misfits = 0 if fits else self._misfits + 1
         if self._misfits > SLIPPED:
             self._until_sure = STEADY
-        elif fits and best.tool_px >= TELLING_PX and self._until_sure:
-            self._until_sure -= 1
+        elif best.tool_px >= TELLING_PX and self._until_sure:
+            # What a search finds in a mask that is not the arm's fits well enough, but not as well as what is right.
+            well = min(best.explained, best.explained_mask) >= WELL_EXPLAINED and best.missed_jaws <= BEST_JAWS
+            self._until_sure -= int(well)
         return not fits or self._until_sure > 0
 
     def _tips_off_m(self, hypothesis: Hypothesis) -> float:
