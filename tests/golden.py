@@ -96,6 +96,10 @@ def estimates(data: Path, dataset: Path, chaser: Path) -> dict[str, Any]:
     asked = [word for name in names["viewpoint"] for word in ("--tracker", name)]
     surgbench("run", "--dataset", chaser, "--frames", SAMPLES, *common, *asked)
     surgbench("run", "--dataset", dataset, "--tracker", "xnes", "--arms", "dual", "--frames", FRAMES, *common)
+    surgbench("generate", "occlusion", "--sequences", 1, "--frames", FRAMES, "--out", data / "crossing")
+    pairs = [{"tracker": "hybrid", "row_id": f"hybrid-{masks}", "masks": masks} for masks in ("instances", "union")]
+    (data / "pairs.yaml").write_text(json.dumps({"rows": pairs}))
+    surgbench("run", "--dataset", data / "crossing", "--suite", data / "pairs.yaml", "--arms", "dual", *common)
     surgbench("generate", "paper-rcm", "--sequences", 1, "--frames", FRAMES, "--out", data / "rcm")
     surgbench("run", "--dataset", data / "rcm", "--tracker", "particle-filter", "--joints", *common)
     found_estimates = {}

@@ -18,7 +18,7 @@ from surgbench.geometry import FloatArray, look_at_rotation
 from surgbench.keypoints.found import FoundTips
 from surgbench.metrics import OUT_OF_VIEW_SHARE, RECOVERED_M, pose_errors
 from surgbench.silhouette import Reference, SilhouetteEvaluator
-from surgbench.state import ANGLES, BETA, JOINTS, POSITION, STATE_SCALE, STATE_SIZE
+from surgbench.state import ALPHA, ANGLES, BETA, GAMMA, JOINTS, POSITION, STATE_SCALE, STATE_SIZE
 from surgbench.trackers.hybrid import HybridTracker
 from surgbench.trackers.registration.arrival import DISTANCES, PATIENCE, STEADY, Whereabouts, arrivals
 from surgbench.trackers.registration.belief import NO_SHAPE, MotionBelief
@@ -34,6 +34,7 @@ from surgbench.trackers.registration.jaws import JawJudge
 from surgbench.trackers.registration.proposals import (
     SWEPT,
     Move,
+    anew,
     best_of_each,
     jump_cost,
     propose,
@@ -328,6 +329,18 @@ def test_proposals_keep_their_promises(camera: Camera) -> None:
     known, moves = propose(state[None], 60, limits, True, np.random.default_rng(0))
     assert (known[moves == Move.TURN][:, JOINTS] == state[JOINTS]).all()
     assert not np.isin(moves, [Move.JAW, Move.JOINTS, Move.BOTH]).any()
+
+
+def test_of_what_is_drawn_anew_the_shaft_stays_on_its_line(camera: Camera) -> None:
+    state, limits = resting_state(), scene_of(camera).joint_limits
+    drawn = anew(state[None], 300, limits, np.random.default_rng(0))
+    assert (drawn[:, [ALPHA, GAMMA]] == state[[ALPHA, GAMMA]]).all()
+    assert (limits.clip(drawn[:, None, JOINTS]) == drawn[:, None, JOINTS]).all()
+    off = drawn[:, POSITION] - state[POSITION]
+    axis = look_at_rotation(state[ANGLES])[:, 2]
+    np.testing.assert_allclose(off, (off @ axis)[:, None] * axis, atol=1e-12)
+    assert np.ptp(drawn[:, BETA]) > 3.0
+    assert (np.ptp(drawn[:, JOINTS], axis=0) > 0.9).all()
 
 
 def test_with_two_arms_one_is_changed_at_a_time(camera: Camera) -> None:

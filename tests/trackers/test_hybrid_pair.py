@@ -20,6 +20,7 @@ from surgbench.trackers.hybrid import HybridTracker
 from surgbench.trackers.registration.cut import Cutter
 from surgbench.trackers.registration.order import Order
 from surgbench.trackers.registration.part import PartObjective, PartView
+from surgbench.trackers.registration.screen import Screen
 
 IN, HIDDEN, OUT = 16, 20, 16  # frames of a crossing
 LEAD = 4
@@ -211,3 +212,40 @@ def test_what_is_hidden_counts_neither_way(crossed: tuple[Scene, FloatArray, NDA
             loss, overlap = objective.mismatch(state[None])
             assert loss[0] < 30
             assert overlap[0] > 0.98
+
+
+def test_a_large_piece_that_nothing_shows_of_is_hidden(crossed: tuple[Scene, FloatArray, NDArray[np.bool_]]) -> None:
+    """Not before a frame did not fit, not where the arm may have moved, and not a sliver; until all of it is seen."""
+    scene, states, _ = crossed
+    silhouette = SilhouetteEvaluator(scene.instruments[:1], scene.views[0].camera).mask(states[0, :STATE_SIZE])
+    columns = np.flatnonzero(silhouette.any(axis=0))
+    nothing, cut, sliver = np.zeros_like(silhouette), silhouette.copy(), silhouette.copy()
+    cut[:, columns[-70] :] = False
+    sliver[:, columns[-4] :] = False
+    screen = Screen()
+    assert not screen(silhouette, cut, nothing, cut, unfit=False).any()
+    assert not screen(silhouette, sliver, nothing, sliver, unfit=True).any()
+    moved = np.roll(silhouette, 25, axis=0)
+    assert not screen(silhouette, moved, nothing, moved, unfit=True).any()
+    for unfit in (True, False):
+        hidden = screen(silhouette, cut, nothing, cut, unfit=unfit)
+        assert hidden[silhouette & ~cut].mean() > 0.7  # tips are narrower
+        assert hidden[cut].mean() < 0.02
+    assert not screen(silhouette, silhouette, nothing, silhouette, unfit=False).any()
+    assert not screen(silhouette, cut, nothing, cut, unfit=False).any()
+
+
+@pytest.mark.slow
+def test_tissue_before_the_jaws_ends_no_arm(crossed: tuple[Scene, FloatArray, NDArray[np.bool_]]) -> None:
+    """The arm stays where its shaft and its motion have it, and says that it isn't known when that is long ago."""
+    scene, states, visible = crossed
+    states, shown = np.repeat(states[:1], 30, axis=0), np.repeat(visible[:1], 30, axis=0)
+    wrist = scene.views[0].camera.project(states[0, POSITION])
+    columns = np.arange(shown.shape[-1])
+    for frame in range(6, 22):  # over the right end, further and further
+        shown[frame, 0, :, columns > wrist[0] + 50 - 5 * min(frame - 6, 9)] = False
+    estimates, lost, confidence = follow(scene, shown, states, instances=True)
+    off = tips_off_m(scene, estimates, states)
+    assert ((off[:, 0] < 5e-3) | lost[:, 0]).all()
+    assert (off[-4:] < 1e-3).all()
+    assert (confidence[18:22, 0] < confidence[:6, 0].min()).all()

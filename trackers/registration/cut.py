@@ -21,6 +21,7 @@ from surgbench.silhouette import KeypointProjector, SilhouetteEvaluator, iou
 from surgbench.trackers.arm_masks import mask_per_arm
 from surgbench.trackers.registration.order import Order
 from surgbench.trackers.registration.part import PartView
+from surgbench.trackers.registration.screen import Screen
 
 MARGIN_PX = 2  # around what hides: expected silhouettes are off by as much, and masks are
 REACH_PX = 16  # from an arm's silhouette, beyond which a mask may be a lost other's
@@ -48,16 +49,20 @@ class Cutter:
         self._evaluators = [SilhouetteEvaluator([one], camera) for one in scene.instruments]
         self._projector = KeypointProjector(scene.instruments, camera)
         self._order = Order(camera)
+        self._screens = [Screen() for _ in scene.instruments]
         self._mostly = 0.0  # below 0 where masks are the right way round, as a rule
         self.exchanged = self.told_apart = False
 
-    def __call__(self, view: View, states: FloatArray, lost: Sequence[bool]) -> tuple[PartView, PartView]:
+    def __call__(
+        self, view: View, states: FloatArray, lost: Sequence[bool], unfit: Sequence[bool] = (False, False)
+    ) -> tuple[PartView, PartView]:
         """Each arm's part.
 
         Args:
             view: Of both arms.
             states: ``(2, 9)`` where they are expected, in the reference camera's frame.
             lost: Of which arms that means nothing.
+            unfit: Which of them did not fit in the last frame.
         """
         own = ChangeOfView(view.T_view_cam).states(states.reshape(-1)).reshape(2, -1)
         silhouettes = [one.mask(state) for one, state in zip(self._evaluators, own, strict=True)]
@@ -68,6 +73,13 @@ class Cutter:
             parts = _of_union(view, silhouettes, lost)
         else:
             parts = self._of_each(apart, silhouettes, own, lost)
+        seen = view.mask if apart is None else apart[0] | apart[1]
+        parts = [
+            (mask, hidden if gone else screen(silhouette, mask, hidden, seen, unfit=slipped))
+            for (mask, hidden), silhouette, screen, gone, slipped in zip(
+                parts, silhouettes, self._screens, lost, unfit, strict=True
+            )
+        ]
         found = view.found
 
         def tips(arm: int) -> FoundTips:
@@ -81,8 +93,8 @@ class Cutter:
     ) -> list[tuple[Mask, Mask]]:
         """Masks and what is hidden, from a mask of each arm."""
         # Pixels in each mask of what each silhouette does not share with the other.
-        overlap = silhouettes[0] & silhouettes[1]
-        shared = np.array([[np.count_nonzero(one & mask & ~overlap) for mask in masks] for one in silhouettes])
+        alone = silhouettes[0] & ~silhouettes[1], silhouettes[1] & ~silhouettes[0]
+        shared = np.array([[np.count_nonzero(one & mask) for mask in masks] for one in alone])
         sure = ~np.array(lost)
         straight, crossed = shared[sure, np.flatnonzero(sure)].sum(), shared[sure, 1 - np.flatnonzero(sure)].sum()
         if max(straight, crossed) >= FEW_PIXELS and max(straight, crossed) > CLEAR * min(straight, crossed):

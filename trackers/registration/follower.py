@@ -12,10 +12,10 @@ from surgbench.contract import Estimate, Mask, Observation, Scene
 from surgbench.geometry import FloatArray
 from surgbench.metrics import OUT_OF_VIEW_SHARE
 from surgbench.objective import Objective
-from surgbench.silhouette import SilhouetteEvaluator
+from surgbench.silhouette import SilhouetteEvaluator, iou
 from surgbench.state import JOINTS, STATE_SCALE, STATE_SIZE, clip_joints
 from surgbench.timing import step_s
-from surgbench.trackers.registration.arrival import Whereabouts
+from surgbench.trackers.registration.arrival import STEADY, Whereabouts
 from surgbench.trackers.registration.belief import MotionBelief
 from surgbench.trackers.registration.edges import missed_edge
 from surgbench.trackers.registration.fit import ContourFit, Fit, Prior
@@ -50,12 +50,14 @@ BEST_JAWS = 0.15  # what masks leave unexplained of jaws that are right, of thei
 BEST_UNEXPLAINED = 0.02  # what masks leave unexplained of a right state
 # Of one of two arms. Tips that are known no better make the estimate a lost one; and better than so nothing is hidden.
 # What is believed of something hidden is as it says, unlike what edges tell (STATED).
-LOST_M, HIDDEN_M = 0.005, 0.002
+LOST_M, HIDDEN_M = 0.0035, 0.002
 GONE_M = 0.02  # a hidden arm may be anywhere, and hides nothing of the other
 # What no frame tells of moves on for so many seconds only, and then at such speeds: hands go to and fro.
 HIDDEN_SETTLES_S = 0.3
 UNEXPLAINED_POWER = 3  # of what is explained, in its confidence
 UNFIT = 0.5  # of the confidence, where something has slipped that is searched for
+SLIPPED = 3  # frames that do not fit, after which an arm of two has to be seen to fit for it to be believed
+WELL_EXPLAINED = 0.95  # so much at least of what is right, in most frames
 TELLING_PX = 40.0  # of visible contour, below which no edge is missed
 TELLING_SHARE = 0.1  # of a silhouette, below which it is hidden
 
@@ -94,6 +96,8 @@ class Follower:
         self.evaluator = SilhouetteEvaluator(scene.instruments, scene.views[0].camera)
         self.fit = ContourFit(scene, self.evaluator, STATE_SCALE, options.fit)
         self._jaws = JawJudge(scene.instruments, scene.views[0].camera)
+        self._misfits = 0  # frames in a row
+        self._until_sure = 0  # frames in which wrist and jaws must be seen to fit
         self._first = True
         self._last_s: float | None = None  # when the last frame was
         self._step_s = scene.dt_s
@@ -193,11 +197,26 @@ class Follower:
             lost = missing or best.off_m > LOST_M
             # What is wrong may overlap well: of a shaft that is in its place, and all else is not.
             overlap = 1.0 if best.hidden else best.iou * min(best.explained, best.explained_mask) ** UNEXPLAINED_POWER
-            confidence = overlap / (1.0 + (best.off_m / LOST_M) ** 2) * (1.0 if self._fits(best) else UNFIT)
+            confidence = overlap / (1.0 + (best.off_m / LOST_M) ** 2) * (UNFIT if self._slipped(best) else 1.0)
         self.whereabouts.note(best.state, share, lost=missing, fits=self._fits(best))
         return Estimate(
             best.state, confidence=float(confidence), lost=lost, standard_deviations=self._stated(best.belief)
         )
+
+    def _slipped(self, best: Hypothesis) -> bool:
+        """Whether something has slipped, and has not been seen to be right since.
+
+        What did not fit for long and then does may fit for being hidden: of roll and joints a shaft says nothing.
+        """
+        fits = self._fits(best)
+        self._misfits = 0 if fits else self._misfits + 1
+        if self._misfits > SLIPPED:
+            self._until_sure = STEADY
+        elif best.tool_px >= TELLING_PX and self._until_sure:
+            # What a search finds in a mask that is not the arm's fits well enough, but not as well as what is right.
+            well = min(best.explained, best.explained_mask) >= WELL_EXPLAINED and best.missed_jaws <= BEST_JAWS
+            self._until_sure -= int(well)
+        return not fits or self._until_sure > 0
 
     def _tips_off_m(self, hypothesis: Hypothesis) -> float:
         """How far off the tips' centre is believed to be, metres."""
@@ -231,12 +250,25 @@ class Follower:
         missed = missed_edge(observation.mask, silhouette, EXPLAINED_PX, JAW_PX, hidden)
         hypothesis.explained_mask = missed.explained
         hypothesis.missed_jaws = self._jaws(fit.state, fit.missed_px, fit.length_px, missed)
-        hypothesis.iou = float(self._objective.mismatch(fit.state[None])[1][0])
+        covered, shown = self._overlap(hypothesis, silhouette, observation)
         if hidden is not None:
-            covered, shown = np.count_nonzero(silhouette), np.count_nonzero(silhouette & ~hidden)
+            hypothesis.tool_px = float(fit.length_px[:, 1:].sum())
             hypothesis.hidden = covered > 0 and shown < max(TELLING_SHARE * covered, OUT_OF_VIEW_SHARE * hidden.size)
             if covered and fit.length_px.sum() < TELLING_PX:
                 hypothesis.explained = 1.0
+
+    def _overlap(self, hypothesis: Hypothesis, silhouette: Mask, observation: Observation) -> tuple[int, int]:
+        """Judge by the masks; returns how many pixels the silhouette covers, and in how many of them it would show."""
+        view = observation.views[0]
+        covered = shown = 0
+        if isinstance(view, PartView):
+            covered, shown = int(np.count_nonzero(silhouette)), int(np.count_nonzero(silhouette & ~view.hidden))
+        if isinstance(view, PartView) and len(observation.views) == 1:  # counted here what would be counted anew
+            overlap, seen = np.count_nonzero(silhouette & view.mask), int(np.count_nonzero(view.mask))
+            hypothesis.iou = float(iou(np.array([shown]), np.array([overlap]), seen)[0])
+        else:
+            hypothesis.iou = float(self._objective.mismatch(hypothesis.state[None])[1][0])
+        return covered, shown
 
     def _frame_cost(self, hypothesis: Hypothesis) -> float:
         # A mask that is a pixel too large costs every hypothesis the same area, but leaves no edge unexplained.

@@ -25,6 +25,7 @@ class Hypothesis:
         explained_mask: Share of the mask's edge that has a contour.
         missed_jaws: Share of the jaws that is unexplained, of their own contour.
         hidden: Of an arm beside another: so much of it is hidden that masks tell next to nothing.
+        tool_px: Likewise, how much contour of wrist and jaws shows.
         off_m: Likewise, how far off its tips are believed to be.
     """
 
@@ -37,6 +38,7 @@ class Hypothesis:
     missed_jaws: float = 0.0
     jump: float = 0.0
     hidden: bool = False
+    tool_px: float = 0.0
     off_m: float = 0.0
 
     @property

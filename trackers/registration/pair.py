@@ -83,7 +83,10 @@ class Pair:
     def _cut(self, observation: Observation, states: FloatArray) -> list[Observation]:
         """Each arm's part of a frame, the arms being at ``(2, 9)``."""
         lost = [arm.whereabouts.lost for arm in self._arms]
-        views = [cutter(view, states, lost) for cutter, view in zip(self._cutters, observation.views, strict=True)]
+        unfit = [arm.unfit for arm in self._arms]
+        views = [
+            cutter(view, states, lost, unfit) for cutter, view in zip(self._cutters, observation.views, strict=True)
+        ]
         return [part_of(observation, arm, [own[arm] for own in views]) for arm in range(ARMS)]
 
 

@@ -7,12 +7,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from surgbench.camera.change_of_view import ChangeOfView
 from surgbench.compiled import compiled
 from surgbench.contract import Mask, Scene, View
 from surgbench.geometry import FloatArray
 from surgbench.keypoints.found import FoundTips
 from surgbench.objective import LossWeights, Objective, ViewLoss
-from surgbench.silhouette import ContourPoints
+from surgbench.silhouette import ContourPoints, Reference
 from surgbench.silhouette.evaluator import RowSums
 from surgbench.trackers.registration.edges import HIDDEN
 
@@ -62,17 +63,27 @@ class PartLoss(ViewLoss):
     """The terms of one arm's part of a view. What may be hidden counts neither way."""
 
     def observe(self, view: View) -> None:
-        """Take the frame that the next calls score against."""
-        super().observe(view)
-        hides = isinstance(view, PartView) and bool(view.hidden.any())
-        self._known = RowSums(~view.hidden) if hides and isinstance(view, PartView) else None
+        """Take the frame that the next calls score against; most frames of an arm that is followed score nothing."""
+        self._view, self._reference = view, None
+        self.change = ChangeOfView(view.T_view_cam)
+
+    @property
+    def reference(self) -> Reference:
+        """As of any view, prepared when first asked for."""
+        if self._reference is None and self._view is not None:
+            view = self._view
+            hides = isinstance(view, PartView) and bool(view.hidden.any())
+            self._known = RowSums(~view.hidden) if hides and isinstance(view, PartView) else None
+            self._reference = Reference(view.mask)
+        reference: Reference = super().reference
+        return reference
 
     def mismatch(self, states: FloatArray) -> tuple[FloatArray, NDArray[np.int64], NDArray[np.int64]]:
         """Eq. 6 of ``(n, 9)`` states where nothing is hidden, pixels; what they cover there, and of the mask."""
+        observed = self.reference.area
         if self._known is None:
             return super().mismatch(states)
         own = self.change.states(states)
-        observed = self.reference.area
         _, area = self.evaluator.sum_over(own, self._known)
         _, overlap = self.evaluator.sum_over(own, self.reference)
         loss = area + observed - 2 * overlap + self.appearance * np.abs(area - observed)

@@ -18,6 +18,7 @@ NEAR = np.array([0.01, 0.15, 0.01, 2e-4, 2e-4, 1e-3, 0.1, 0.1, 0.1])
 WIDEST_ROLL_RAD = 1.6  # beyond a quarter turn the twin is nearer
 WIDEST_JAW_RAD = 1.0
 FARTHEST_M = 0.05  # along the shaft
+NEARBY_M = 0.004  # likewise, standard deviation
 SWEPT = 16  # places of a jaw in a sweep
 # What a jump of each component counts as: beyond it, ever less for each further step.
 JUMP = np.array([0.03, 0.1, 0.03, 2e-3, 2e-3, 4e-3, 0.1, 0.1, 0.1])
@@ -34,6 +35,7 @@ class Move(IntEnum):
     SWEEP = 5  # one jaw exactly where it is, the other at every place in turn
     BELIEVED = 6  # anything that is believed to be likely
     SLIDE = 7  # along the shaft, and turned about it
+    ANEW = 8  # a little along the shaft, and turned about it, with all joints anew
 
 
 MOVES = (Move.TURN, Move.JAW, Move.TURN, Move.JOINTS, Move.JAW, Move.BOTH, Move.TURN, Move.JAW, Move.JOINTS, Move.NEAR)
@@ -125,6 +127,26 @@ def slide(states: FloatArray, count: int, rng: np.random.Generator) -> FloatArra
     slid[:, POSITION] += ways[:, None] * look_at_rotation(slid[:, ANGLES])[..., 2]
     slid[:, BETA] += WIDEST_ROLL_RAD * rng.uniform(-1.0, 1.0, count)
     return slid
+
+
+def anew(states: FloatArray, count: int, limits: JointLimits, rng: np.random.Generator) -> FloatArray:
+    """States with the shaft all but where it is, of which roll and joints are not known any more.
+
+    Args:
+        states: ``(m, 9)`` of one arm.
+        count: How many to draw.
+        limits: Of the joints.
+        rng: The only source of randomness.
+
+    Returns:
+        ``(count, 9)``.
+    """
+    drawn: FloatArray = np.resize(states, (count, STATE_SIZE))
+    drawn[:, POSITION] += NEARBY_M * rng.standard_normal((count, 1)) * look_at_rotation(drawn[:, ANGLES])[..., 2]
+    drawn[:, BETA] += WIDEST_ROLL_RAD * rng.uniform(-1.0, 1.0, count)
+    lower, upper = limits.lower_rad[0], limits.upper_rad[0]
+    drawn[:, JOINTS] = rng.uniform(lower, np.minimum(upper, [np.inf, np.inf, WIDEST_JAW_RAD]), (count, len(lower)))
+    return drawn
 
 
 def best_of_each(losses: FloatArray, moves: NDArray[np.intp], count: int) -> NDArray[np.intp]:

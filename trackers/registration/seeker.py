@@ -18,12 +18,18 @@ from surgbench.trackers.registration.fit import Fit, Prior
 from surgbench.trackers.registration.follower import ARRIVING, DRAWN, HIDDEN_M, Follower, share_of
 from surgbench.trackers.registration.hypothesis import SAME, Hypothesis
 from surgbench.trackers.registration.options import HybridOptions
-from surgbench.trackers.registration.proposals import Move, best_of_each, jump_cost, propose, slide, sweep_jaws
+from surgbench.trackers.registration.part import PartView
+from surgbench.trackers.registration.proposals import Move, anew, best_of_each, jump_cost, propose, slide, sweep_jaws
+from surgbench.trackers.registration.screen import missing_piece
 
 # What may have changed while nothing was seen, once it is put where the mask is.
 AWAY = np.array([0.15, 0.7, 0.15, 1.2e-2, 1.2e-2, 2.5e-2, 0.5, 0.5, 0.4])
 # States drawn as is believed, and along the shaft, of an arm that was hidden.
 BELIEVED, SLID = 48, 240
+# Likewise with roll and joints anew, of one that does not fit: they may be anything, and few of them lead to the right
+# ones. Of these, so many of the best are refined.
+ANEW, ANEW_REFINED = 900, 8
+OFTEN = 8  # frames that do not fit, in which it is looked for so; then in every so many, for that takes long
 GLITCH = 3  # frames that do not fit, before which a hidden arm is not searched: a mask may err, and anything fits it
 LONG_UNFIT = 4  # frames in which no search helps, after which an arm is looked for as if it had been away
 LOOK_EVERY = 3  # frames
@@ -63,6 +69,11 @@ class Seeker(Follower):
         self._pause = 0
         self._unfit = 0  # frames in a row in which one of two arms did not fit
 
+    @property
+    def unfit(self) -> bool:
+        """Whether the last frame did not fit one of two arms that was known well: it was where it was expected."""
+        return self._unfit > 0 and self.hypotheses[0].off_m <= HIDDEN_M
+
     def step(self, observation: Observation) -> Estimate:
         """Follow every hypothesis; search where the best leaves edges unexplained; report the best."""
         last = self.hypotheses[0].state
@@ -93,6 +104,8 @@ class Seeker(Follower):
                 self._recover(best, observation)
         elif best.hidden or not alone or (best.off_m > HIDDEN_M and self._unfit < GLITCH):
             self._pause = 0
+        elif self._unfit == 1 and self._lacks_a_piece(best, observation):
+            self._pause = 0  # from the next frame on that is taken to be hidden
         elif self._part and options.samples and self._unfit > LONG_UNFIT and self._unfit % LONG_UNFIT == 0:
             self._recover(best, observation)
         elif seen and options.samples and not fits:
@@ -104,6 +117,14 @@ class Seeker(Follower):
             self._pause = 0
             if seen and options.samples and observation.joints is None and observation.index % LOOK_EVERY == 0:
                 self._look_at_jaws(best, last, observation)
+
+    def _lacks_a_piece(self, best: Hypothesis, observation: Observation) -> bool:
+        """Whether nothing is seen of a large piece of one of two arms."""
+        view = observation.views[0]
+        if not isinstance(view, PartView):
+            return False
+        silhouette = self.evaluator.mask(best.state)
+        return missing_piece(silhouette, view.mask, view.hidden, view.mask) is not None
 
     def _search(self, best: Hypothesis, last: FloatArray, observation: Observation) -> bool:
         """Draw, score and refine other states; the best of them becomes a hypothesis. Returns whether one did."""
@@ -168,10 +189,17 @@ class Seeker(Follower):
                 self.hypotheses[0].belief.draw(BELIEVED, self._rng),
                 slide(centres, SLID, self._rng),
             ]
+            kinds = [Move.BELIEVED, Move.SLIDE]
+            if not known and self._unfit > 1 and (self._unfit <= OFTEN or self._unfit % OFTEN == 0):
+                more.append(anew(centres, ANEW, scene.joint_limits, self._rng))
+                kinds.append(Move.ANEW)
             states = np.concatenate([states, clip_joints(np.concatenate(more), scene.joint_limits)])
-            moves = np.append(moves, np.repeat([Move.BELIEVED, Move.SLIDE], [len(some) for some in more]))
+            moves = np.append(moves, np.repeat(kinds, [len(some) for some in more]))
         losses = self._objective(states)[0]
         order = best_of_each(losses, moves, options.refined)
+        scattered = np.flatnonzero(moves == Move.ANEW)
+        scattered = scattered[np.argsort(losses[scattered], kind="stable")[:ANEW_REFINED]]
+        order = np.append(order, np.setdiff1d(scattered, order))
         if options.generations:
             evolved, evolved_losses = self._evolve(states[int(np.argmin(losses))])
             states, losses = np.concatenate([states, evolved]), np.concatenate([losses, evolved_losses])
