@@ -52,13 +52,14 @@ def look_at_rotation(angles_rad: FloatArray) -> FloatArray:
                [ 0.995, -0.1  ,  0.   ]])
     """
     angles = np.asarray(angles_rad, dtype=np.float64)
-    (sa, sb, sg), (ca, cb, cg) = np.moveaxis(np.sin(angles), -1, 0), np.moveaxis(np.cos(angles), -1, 0)
-    rows = [
-        [cg * cb + sg * sa * sb, -cg * sb + sg * sa * cb, sg * ca],
-        [ca * sb, ca * cb, -sa],
-        [-sg * cb + cg * sa * sb, sg * sb + cg * sa * cb, cg * ca],
-    ]
-    rotation: FloatArray = np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    sines, cosines = np.sin(angles), np.cos(angles)
+    sa, sb, sg = sines[..., 0], sines[..., 1], sines[..., 2]
+    ca, cb, cg = cosines[..., 0], cosines[..., 1], cosines[..., 2]
+    rotation = np.empty((*angles.shape, 3))
+    rotation[..., 0, 0], rotation[..., 0, 1] = cg * cb + sg * sa * sb, -cg * sb + sg * sa * cb
+    rotation[..., 1, 0], rotation[..., 1, 1] = ca * sb, ca * cb
+    rotation[..., 2, 0], rotation[..., 2, 1] = -sg * cb + cg * sa * sb, sg * sb + cg * sa * cb
+    rotation[..., 0, 2], rotation[..., 1, 2], rotation[..., 2, 2] = sg * ca, -sa, cg * ca
     return rotation
 
 

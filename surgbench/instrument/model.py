@@ -143,21 +143,20 @@ class Instrument:
         """
         states = np.asarray(states, dtype=np.float64)
         lead = states.shape[:-1]
-        transforms = np.zeros((*lead, len(self.spec.links), 4, 4))
         base = np.zeros((*lead, 4, 4))
         base[..., :3, :3] = look_at_rotation(states[..., ANGLES])
         base[..., :3, 3] = states[..., POSITION]
         base[..., 3, 3] = 1.0
         theta = self.theta_offsets_rad + states[..., JOINTS] @ self.theta_gains.T
         cos, sin = np.cos(theta), np.sin(theta)
-        for index, parent in enumerate(self.parents):
-            turn = np.zeros((*lead, 4, 4))
-            turn[..., 0, 0] = turn[..., 1, 1] = cos[..., index]
-            turn[..., 1, 0] = sin[..., index]
-            turn[..., 0, 1] = -sin[..., index]
-            turn[..., 2, 2] = turn[..., 3, 3] = 1.0
+        turns = np.zeros((*theta.shape, 4, 4))
+        turns[..., 0, 0] = turns[..., 1, 1] = cos
+        turns[..., 1, 0], turns[..., 0, 1] = sin, -sin
+        turns[..., 2, 2] = turns[..., 3, 3] = 1.0
+        transforms = np.empty_like(turns)
+        for index, parent in enumerate(self.parents.tolist()):
             above = base if parent < 0 else transforms[..., parent, :, :]
-            transforms[..., index, :, :] = above @ self.fixed_transforms[index] @ turn
+            transforms[..., index, :, :] = above @ self.fixed_transforms[index] @ turns[..., index, :, :]
         return transforms
 
     def points_cam(self, states: FloatArray, points: tuple[LinkPoint, ...]) -> FloatArray:
