@@ -17,7 +17,7 @@ from surgbench.camera.change_of_view import ChangeOfView
 from surgbench.contract import Mask, Observation, Scene, View
 from surgbench.geometry import FloatArray
 from surgbench.keypoints.found import FoundTips, Tips
-from surgbench.silhouette import KeypointProjector, SilhouetteEvaluator, iou
+from surgbench.silhouette import KeypointProjector, SilhouetteEvaluator
 from surgbench.trackers.arm_masks import mask_per_arm
 from surgbench.trackers.registration.order import Order
 from surgbench.trackers.registration.part import PartView
@@ -27,7 +27,6 @@ MARGIN_PX = 2  # around what hides: expected silhouettes are off by as much, and
 REACH_PX = 16  # from an arm's silhouette, beyond which a mask may be a lost other's
 CLEAR = 2.0  # times as many pixels for one arm being in front, or for masks being exchanged, as for the contrary
 FEW_PIXELS = 30  # tell neither
-SAME_IOU = 0.9  # masks of two arms that overlap more are one and the same
 SPECK_PX = 5  # opening that a lost arm's mask is cleaned by: what the other's silhouette leaves at its edges
 MEMORY = 0.95  # of whether masks are exchanged, from frame to frame
 
@@ -123,19 +122,12 @@ class Cutter:
 
 def _told_apart(view: View) -> tuple[Mask, Mask] | None:
     """A mask of each arm, where there is one that tells the arms apart."""
-    given = view.instance_masks
+    given = view.told_apart
     if given is None or len(given) < 2:
         return None
-    masks = [np.zeros_like(view.mask) if mask is None else mask for mask in given]
-    one, other = masks
-    areas = np.array([np.count_nonzero(mask) for mask in masks])
-    if not areas.any():
-        return None
-    overlap = np.array([np.count_nonzero(one & other)])
-    if float(iou(areas[:1], overlap, int(areas[1]))[0]) > SAME_IOU:
-        return None
+    masks = list(given)
     for arm in range(2):
-        if areas[arm] == 0:  # what is left may be it
+        if not masks[arm].any():  # what is left may be it
             masks[arm] = _without_specks(view.mask & ~_grown(masks[1 - arm], MARGIN_PX))
     return masks[0], masks[1]
 
