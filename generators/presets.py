@@ -14,6 +14,7 @@ from surgbench.camera.plausible import implausible
 from surgbench.config import SUFFIXES, Finite, NotNegative, Positive, Section, locate, parse_model, read_yaml
 from surgbench.errors import ConfigError, unknown_name
 from surgbench.generation import with_settings
+from surgbench.generators.looks.sections import Images
 from surgbench.generators.sections import (
     Absences,
     Auxiliary,
@@ -305,6 +306,7 @@ class Preset(Section):
         auxiliary: Further cameras; none unless told.
         instances: Masks of what is seen of each arm, and how much that is; none unless told.
         occluders: What else is in the way; nothing unless told.
+        images: Images beside the masks; none unless told.
     """
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
@@ -324,6 +326,7 @@ class Preset(Section):
     auxiliary: Auxiliary | None = None
     instances: Instances | None = None
     occluders: Occluders = NO_OCCLUDERS
+    images: Images | None = None
 
     def half(self, index: int) -> Half:
         """Which half of the pairs a pair is in: the last ones, ``fast_share`` of all, have the fast waypoints."""
@@ -331,7 +334,7 @@ class Preset(Section):
 
     @model_serializer(mode="wrap")
     def _without_what_is_not_there(self, serialise: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        return _less(serialise(self), auxiliary=None, instances=None, occluders=NO_OCCLUDERS.model_dump())
+        return _less(serialise(self), auxiliary=None, instances=None, images=None, occluders=NO_OCCLUDERS.model_dump())
 
     @model_validator(mode="after")
     def _possible(self) -> Preset:

@@ -11,6 +11,7 @@ from surgbench.camera import Camera
 from surgbench.dataset import tables
 from surgbench.generators.auxiliary import ViewTables, make_views
 from surgbench.generators.instances import swapped_frames
+from surgbench.generators.looks.sequence import EYE, SequenceLook, eye_tables, make_look
 from surgbench.generators.observations import observe_arm, observe_free_tool, observe_joints, observe_keypoints
 from surgbench.generators.occluders import InTheWay, put_in_the_way
 from surgbench.generators.presets import Preset
@@ -53,6 +54,7 @@ class SequenceTables:
         T_cam_base: Nominal place of each arm's base, ``(4, 4)`` row by row.
         views: Those of the auxiliary views.
         apart: Of the whole sequence; ``None`` where the preset tells no arms apart.
+        look: What images need, of the whole sequence; ``None`` for a preset without.
     """
 
     states: FloatArray
@@ -61,13 +63,14 @@ class SequenceTables:
     T_cam_base: dict[Arm, tuple[float, ...]]
     views: dict[str, ViewTables]
     apart: ToldApart | None = None
+    look: SequenceLook | None = None
 
     def first(self, frames: int) -> SequenceTables:
         """The same of the first frames alone."""
         observed = {name: values[:frames] for name, values in self.observed.items()}
         truth = {name: values[:frames] for name, values in self.truth.items()}
         views = {name: view.first(frames) for name, view in self.views.items()}
-        return SequenceTables(self.states[:frames], observed, truth, self.T_cam_base, views, self.apart)
+        return SequenceTables(self.states[:frames], observed, truth, self.T_cam_base, views, self.apart, self.look)
 
 
 def make_tables(preset: Preset, entry: SequenceEntry, instrument: Instrument, camera: Camera) -> SequenceTables:
@@ -116,7 +119,10 @@ def make_tables(preset: Preset, entry: SequenceEntry, instrument: Instrument, ca
         bases[arm] = tuple(tool.T_cam_base.ravel().tolist())
         truth |= _columns(arm, STATE_COLUMNS, own)
     views = make_views(preset, entry.id, motion.states, instrument)
-    return SequenceTables(motion.states, observed, truth, bases, views, apart).first(entry.frames)
+    look = make_look(preset, entry.id, motion.states, instrument)
+    if look is not None and look.T_eye_cam is not None:
+        views[EYE] = eye_tables(look.T_eye_cam, motion.states, instrument, camera, preset.keypoints, **axes)
+    return SequenceTables(motion.states, observed, truth, bases, views, apart, look).first(entry.frames)
 
 
 def _columns(arm: Arm, names: tuple[str, ...], values: FloatArray) -> dict[str, FloatArray]:
