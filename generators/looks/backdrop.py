@@ -23,9 +23,9 @@ MARGIN = 0.12
 SKIRT = (1.25, 1.6, 2.2)
 SKIRT_RISE = (0.04, 0.25, 0.75)
 PALE, RED, DARK = (0.62, 0.26, 0.19), (0.44, 0.075, 0.05), (0.20, 0.02, 0.02)
-FAT = (0.68, 0.40, 0.17)
+FAT = (0.70, 0.40, 0.20)
 VESSEL = (0.26, 0.015, 0.025)
-DRAPE, GREY = (0.015, 0.20, 0.22), (0.14, 0.15, 0.155)
+DRAPE, GREY = (0.03, 0.20, 0.22), (0.14, 0.15, 0.155)
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ def make_backdrop(mi: Any, look: Look, camera: Camera, nearest_m: float) -> Back
     far = np.maximum(np.abs(across), np.abs(down))
     rise = np.interp(far, [1.0, *SKIRT], [0.0, *SKIRT_RISE]) * middle
     size = texture_px(camera)
-    fold = noise(size, 0.45, look.rng("relief"), octaves=5 if look.backdrop == "tissue" else 2, fade=0.5)
+    fold = noise(size, 0.45, look.rng("relief"), octaves=5 if look.backdrop == "tissue" else 2, fade=0.58)
     patterns = _tissue(look, size) if look.backdrop == "tissue" else _drape(look, size)
     shape = fold + patterns.lifts
     shape = (shape - shape.min()) / max(float(np.ptp(shape)), 1e-6) - 0.5
@@ -153,7 +153,7 @@ def _tissue(look: Look, size: int) -> _Patterns:
     colour = colour + (0.8 * fat * (0.75 + 0.25 * (1 - np.clip(lobes, 0, 1))))[..., None] * (np.array(FAT) - colour)
     net, tall = vessels(size, int(4 + 26 * look["vessels"]), rng)
     colour = colour + (0.75 * net)[..., None] * (np.array(VESSEL) - colour)
-    colour = colour * (1.0 + 0.10 * fine)[..., None]
+    colour = colour * (1.0 + 0.2 * fine)[..., None]
     roughness = look["tissue_roughness"] * (1.0 + 0.25 * wide + 0.15 * fine)
     ripples, grain = noise(size, 0.05, rng, octaves=3, fade=0.45), noise(size, 0.012, rng, octaves=2)
     bumps = 0.00035 * ripples + 0.00003 * grain - 0.0006 * tall - 0.0006 * lump
@@ -164,9 +164,9 @@ def _drape(look: Look, size: int) -> _Patterns:
     rng = look.rng("drape")
     cloth, wide = weave(size, 150, rng), noise(size, 0.3, rng)
     base = np.array(DRAPE) + look["drape_grey"] * (np.array(GREY) - np.array(DRAPE))
-    colour = base * (1.0 + 0.30 * cloth + 0.06 * wide)[..., None]
+    colour = base * (1.0 + 0.48 * cloth + 0.06 * wide)[..., None]
     roughness = np.full((size, size), 0.9, np.float32)
-    return _Patterns(colour, roughness, np.float32(0.00008) * cloth, np.zeros_like(cloth), 0.0)
+    return _Patterns(colour, roughness, np.asarray(0.00008 * cloth, np.float32), np.zeros_like(cloth), 0.0)
 
 
 def _sampled(pattern: Pattern, places: FloatArray) -> FloatArray:

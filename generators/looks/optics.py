@@ -42,9 +42,12 @@ class Optics:
         self._look, self._jpeg = look, jpeg
         self._haze = Haze(camera, look)
         rows, columns = np.mgrid[: camera.height, : camera.width].astype(np.float64)
-        off = np.stack([columns - (camera.width - 1) / 2, rows - (camera.height - 1) / 2], axis=-1)
+        middle = (0.5 + look["beam_x"]) * (camera.width - 1), (0.5 + look["beam_y"]) * (camera.height - 1)
+        off = np.stack([columns - middle[0], rows - middle[1]], axis=-1)
         far = np.hypot(camera.width, camera.height) / 2
-        self._vignette = (1.0 - look["vignette"] * (off**2).sum(-1) / far**2).astype(np.float32)[..., None]
+        # The light is beside the lens: what it is darker towards its edge looks as if the lens did it.
+        dark = (1.0 - look["vignette"]) ** ((off**2).sum(-1) / far**2)
+        self._vignette = dark.astype(np.float32)[..., None]
         self._bent = self._straight = None
         if look["k1"] != 0.0:
             lens = camera.model_copy(update={"distortion": (look["k1"], 0.0, 0.0, 0.0)}).lens

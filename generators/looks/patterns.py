@@ -126,8 +126,8 @@ def weave(size: int, threads: int, rng: np.random.Generator) -> Pattern:
     rows, columns = np.mgrid[:size, :size].astype(np.float32) * np.float32(2 * np.pi * threads / size)
     across, down = columns + bend[0], rows + bend[1]
     over = np.sin(across) * np.sin(down)
-    cloth = np.where(over > 0, np.cos(across / 1.0), np.cos(down)) * (0.6 + 0.4 * noise(size, 0.02, rng, octaves=3))
-    cloth = cloth.astype(np.float32) + 0.6 * noise(size, 1.0 / threads, rng, octaves=2)
+    cloth = np.where(over > 0, np.cos(across / 1.0), np.cos(down)) * (0.8 + 0.2 * noise(size, 0.02, rng, octaves=3))
+    cloth = cloth.astype(np.float32) + 0.35 * noise(size, 1.0 / threads, rng, octaves=2)
     cloth -= cloth.mean()
     return np.asarray(cloth / cloth.std(), np.float32)
 

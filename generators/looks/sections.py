@@ -61,7 +61,9 @@ class LookRanges(Section):
         focus_m: Distance that is in focus.
         k1: First radial coefficient of the lens, which is taken out of the images again, as of recordings.
         fringe_px: How far red and blue are apart at the corners.
-        vignette: How much darker the corners are by the lens alone.
+        vignette: How much darker it is as far from the middle of the light as the corners are from the image's.
+        beam_x: Where the middle of the light is, from that of the image, as a share of the width.
+        beam_y: The same down, as a share of the height.
         shutter: Share of the time between two frames for which the shutter is open.
         white_red: Gain of red after white balance.
         white_blue: Of blue.
@@ -76,39 +78,41 @@ class LookRanges(Section):
         blood: Share of the image that is behind blood on the lens.
     """
 
-    brightness: Share = (0.34, 0.44)
+    brightness: Share = (0.37, 0.405)
     light_radius_m: Size = (0.003, 0.005)
     light_red: Size = (0.95, 1.08)
     gap_m: Size = (0.004, 0.02)
-    relief_m: Amount = (0.006, 0.016)
+    relief_m: Amount = (0.008, 0.022)
     sway_m: Amount = (0.0005, 0.003)
     sway_period_s: Size = (2.5, 6.0)
     tissue_red: Share = (0.2, 0.7)
-    tissue_fat: Share = (0.05, 0.4)
-    tissue_wet: Share = (0.4, 1.0)
-    tissue_roughness: Roughness = (0.18, 0.32)
+    tissue_fat: Share = (0.0, 0.25)
+    tissue_wet: Share = (0.15, 0.55)
+    tissue_roughness: Roughness = (0.22, 0.36)
     vessels: Share = (0.3, 1.0)
     drape_grey: Share = (0.0, 0.2)
     steel_roughness: Roughness = (0.14, 0.32)
-    steel_grey: Share = (0.45, 0.75)
+    steel_grey: Share = (0.55, 0.85)
     scratches: Share = (0.2, 1.0)
     wear: Share = (0.1, 0.6)
-    shaft_grey: Share = (0.01, 0.05)
+    shaft_grey: Share = (0.04, 0.11)
     shaft_roughness: Roughness = (0.2, 0.4)
     ring_m: Size = (0.006, 0.012)
-    lens_px: Amount = (0.5, 0.9)
+    lens_px: Amount = (0.7, 1.0)
     defocus_px: Amount = (0.5, 2.0)
     focus_m: Size = (0.12, 0.16)
     k1: Between = (-0.28, -0.2)
     fringe_px: Amount = (0.0, 0.6)
-    vignette: Share = (0.1, 0.3)
+    vignette: Share = (0.6, 0.85)
+    beam_x: Between = (-0.35, 0.35)
+    beam_y: Between = (-0.35, 0.35)
     shutter: Share = (0.2, 0.6)
     white_red: Size = (0.95, 1.05)
     white_blue: Size = (0.95, 1.05)
     saturation: Amount = (0.9, 1.1)
     gamma: Size = (0.95, 1.1)
-    noise: Amount = (2.0, 4.0)
-    shot: Amount = (4.0, 8.0)
+    noise: Amount = (2.0, 3.0)
+    shot: Amount = (4.0, 7.0)
     grain_px: Amount = (0.5, 0.7)
     sharpening: Amount = (0.2, 0.6)
     jpeg: Quality = (75, 95)
