@@ -191,7 +191,7 @@ def plan_dataset(preset: Preset, part: Part | None = None) -> Plan:
     sequences = tuple(
         SequenceEntry(
             id=f"{index:0{digits}d}",
-            frames=preset.frames,
+            frames=preset.length(index),
             dt_s=preset.dt_s,
             speed=preset.motion.speed(preset.half(index)),
             camera=CAMERA_NAME,
@@ -299,7 +299,7 @@ def _write_tables(plan: Plan, out: Path, entry: SequenceEntry) -> tuple[Sequence
         Its part of the manifest, now with the places of the arms' bases, and what was made of it.
     """
     # Of the whole sequence, also where a part of it is made: what moves or errs slowly depends on its length.
-    whole = entry.model_copy(update={"frames": plan.preset.frames})
+    whole = entry.model_copy(update={"frames": plan.preset.length(int(entry.id))})
     made = make_tables(plan.preset, whole, plan.real_instrument, plan.real_camera).first(entry.frames)
     contents = {observations_path(entry.id): made.observed, states_path(entry.id): made.truth}
     for name, view in made.views.items():

@@ -270,6 +270,8 @@ class Readings(Section):
         drift_rho: Its correlation from frame to frame.
         stretch_rad: How far the reading runs ahead of a moving joint, its cables stretched.
         noise_rad: Standard deviation of what is new in every frame.
+        lag_frames: How far readings, tool poses included, are behind the images, drawn for each sequence; below 0 they
+            are ahead.
     """
 
     bias_rad: NotNegative = 0.02
@@ -277,6 +279,19 @@ class Readings(Section):
     drift_rho: Correlation = 0.995
     stretch_rad: NotNegative = 0.0
     noise_rad: NotNegative = 0.002
+    lag_frames: tuple[Finite, Finite] = (0.0, 0.0)
+
+    @field_validator("lag_frames")
+    @classmethod
+    def _ordered(cls, value: tuple[float, float]) -> tuple[float, float]:
+        if value[0] > value[1]:
+            raise ValueError("must be [least, most] with least <= most")
+        return value
+
+    @model_serializer(mode="wrap")
+    def _without_what_is_not_there(self, serialise: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        content: dict[str, Any] = serialise(self)
+        return content if self.lag_frames != (0.0, 0.0) else _less(content, lag_frames=content["lag_frames"])
 
 
 # The left camera of SurgPose at half size, as the paper's code uses it.
@@ -293,6 +308,7 @@ class Preset(Section):
         seed: 0 is a seed like any other.
         pairs: Sequences, each with a left and a right arm.
         frames: Per sequence.
+        lengths: Frames of each sequence, at most ``frames``, in turn, where they are not all as long.
         dt_s: Seconds between frames.
         camera: Intrinsics.
         instrument: Built-in name or instrument file, for both arms. In a preset file, a path is relative to it.
@@ -313,6 +329,7 @@ class Preset(Section):
     seed: Annotated[int, Field(ge=0)] = 0
     pairs: Annotated[int, Field(ge=1, le=1000)]
     frames: Annotated[int, Field(ge=2, le=1_000_000)]
+    lengths: tuple[Annotated[int, Field(ge=2)], ...] = ()
     dt_s: Positive = 1 / 30
     camera: Camera = PAPER_CAMERA
     instrument: str = "large_needle_driver"
@@ -328,13 +345,20 @@ class Preset(Section):
     occluders: Occluders = NO_OCCLUDERS
     images: Images | None = None
 
+    def length(self, index: int) -> int:
+        """Frames of a pair."""
+        return min(self.frames, self.lengths[index % len(self.lengths)]) if self.lengths else self.frames
+
     def half(self, index: int) -> Half:
         """Which half of the pairs a pair is in: the last ones, ``fast_share`` of all, have the fast waypoints."""
         return "fast" if index >= self.pairs - int(self.pairs * self.motion.fast_share) else "nominal"
 
     @model_serializer(mode="wrap")
     def _without_what_is_not_there(self, serialise: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        return _less(serialise(self), auxiliary=None, instances=None, images=None, occluders=NO_OCCLUDERS.model_dump())
+        content: dict[str, Any] = serialise(self)
+        if not self.lengths:
+            del content["lengths"]
+        return _less(content, auxiliary=None, instances=None, images=None, occluders=NO_OCCLUDERS.model_dump())
 
     @model_validator(mode="after")
     def _possible(self) -> Preset:

@@ -153,7 +153,7 @@ def _tissue(look: Look, size: int) -> _Patterns:
     colour = colour + (0.8 * fat * (0.75 + 0.25 * (1 - np.clip(lobes, 0, 1))))[..., None] * (np.array(FAT) - colour)
     net, tall = vessels(size, int(4 + 26 * look["vessels"]), rng)
     colour = colour + (0.75 * net)[..., None] * (np.array(VESSEL) - colour)
-    colour = colour * (1.0 + 0.2 * fine)[..., None]
+    colour = colour * (1.0 + 0.24 * fine)[..., None]
     roughness = look["tissue_roughness"] * (1.0 + 0.25 * wide + 0.15 * fine)
     ripples, grain = noise(size, 0.05, rng, octaves=3, fade=0.45), noise(size, 0.012, rng, octaves=2)
     bumps = 0.00035 * ripples + 0.00003 * grain - 0.0006 * tall - 0.0006 * lump

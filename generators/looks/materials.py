@@ -11,6 +11,7 @@ from surgbench.generators.looks.look import Look
 from surgbench.generators.looks.patterns import Pattern, noise, scratches, threshold
 
 STEEL_PX = 512
+PAINT_SHARE, PAINT_COLOUR = "vertex_paint_share", "vertex_paint_colour"
 SHAFT_PX = (2048, 256)
 # Of the ring about the shaft, and of the bare steel that carries the wrist.
 RING_M, CLEVIS_M = 0.0008, 0.0042
@@ -83,6 +84,16 @@ def shaft(mi: Any, look: Look, low_m: float, high_m: float) -> dict[str, Any]:
             "specular": 0.5,
         },
         "metal": _steel(mi, look, marks, streaks, plain, plain),
+    }
+
+
+def paint(material: Any) -> dict[str, Any]:
+    """A material with spots of paint, where the mesh's vertices say."""
+    return {
+        "type": "blendbsdf",
+        "weight": {"type": "mesh_attribute", "name": PAINT_SHARE},
+        "bare": material,
+        "paint": {"type": "diffuse", "reflectance": {"type": "mesh_attribute", "name": PAINT_COLOUR}},
     }
 
 

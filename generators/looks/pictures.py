@@ -126,7 +126,15 @@ class PictureWriter:
         camera, images = self._lens.pinhole, self._images
         count = len(self._arms) + self._third
         self._renderer = PictureRenderer(
-            self._instrument, count, camera, look.look, self._variant, images.samples, look.nearest_m, eyes
+            self._instrument,
+            count,
+            camera,
+            look.look,
+            self._variant,
+            images.samples,
+            look.nearest_m,
+            eyes,
+            markers=images.markers,
         )
         jpeg = images.compression == "jpeg"
         self._optics = [Optics(self._lens.camera, look.look, jpeg=jpeg) for _ in eyes]

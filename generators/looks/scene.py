@@ -7,7 +7,7 @@ sample a pass also makes the sums the same whatever the number of threads.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from surgbench.camera import NEAR_M, Camera
 from surgbench.generators.looks.backdrop import make_backdrop
 from surgbench.generators.looks.look import Look
-from surgbench.generators.looks.materials import shaft, steel
+from surgbench.generators.looks.markers import markers_of, painted
+from surgbench.generators.looks.materials import PAINT_COLOUR, PAINT_SHARE, paint, shaft, steel
 from surgbench.generators.looks.surface import Surface, link_surface
 from surgbench.generators.looks.variants import use
 from surgbench.geometry import FloatArray, inverse_transform
@@ -26,6 +27,8 @@ from surgbench.rendering.depth import depth_view
 Linear = NDArray[np.float32]
 # What the light travels: the camera's light, and one reflection, so that steel shows what is around it.
 MAX_DEPTH = 3
+# Of one ray, against the mean over the image.
+BRIGHTEST = 25.0
 GOLDEN = 2.399963229728653
 
 
@@ -41,6 +44,7 @@ class PictureRenderer:
         samples: Rays a pixel.
         nearest_m: No part of the backdrop comes nearer; ``None`` for no backdrop.
         eyes: ``(4, 4)`` T_eye_cam of each.
+        markers: Whether coloured markers are painted on the instruments.
     """
 
     def __init__(
@@ -53,6 +57,8 @@ class PictureRenderer:
         samples: int,
         nearest_m: float | None,
         eyes: Sequence[FloatArray] = (np.eye(4),),
+        *,
+        markers: bool = False,
     ) -> None:
         self._mi = use(variant)
         self._variant = variant
@@ -76,10 +82,15 @@ class PictureRenderer:
         }
         surfaces = self._surfaces()
         materials = self._materials()
-        for name, surface in surfaces.items():
-            mesh = _mesh(
-                self._mi, name, surface.vertices_m, surface.faces, surface.places, materials[name], surface.normals
-            )
+        spots = markers_of(instrument) if markers else ()
+        for name, whole in surfaces.items():
+            surface, share, colour = painted(whole, tuple(spot for spot in spots if spot.point.link == name))
+            material, attributes = materials[name], {}
+            if share.any():
+                material = self._mi.load_dict(paint(materials[name]))
+                attributes = {PAINT_SHARE: share[:, None], PAINT_COLOUR: colour}
+            corners = surface.vertices_m, surface.faces, surface.places
+            mesh = _mesh(self._mi, name, *corners, material, surface.normals, attributes)
             scene[f"shape_{name}"] = {"type": "shapegroup", "mesh": mesh}
             for arm in range(count):
                 scene[f"place_{arm}_{name}"] = {
@@ -123,7 +134,10 @@ class PictureRenderer:
                 self._place(states + ((number + 0.5) / count - 0.5) * steps)
             self._parameters["light.position"] = self._mi.Point3f(*self._lights[number].tolist())
             self._parameters.update()
-            total += self._render(eye, self._path, (seed + number) % (1 << 32))
+            light = self._render(eye, self._path, (seed + number) % (1 << 32))
+            # Single rays by way of two mirrors would be bright dots.
+            light[..., :3] = np.minimum(light[..., :3], BRIGHTEST * light[..., :3].mean())
+            total += light
         return np.asarray(total / count, np.float32)
 
     def depth_m(self, states: FloatArray, time_s: float, eye: int = 0) -> FloatArray:
@@ -137,7 +151,8 @@ class PictureRenderer:
 
     def _render(self, eye: int, integrator: Any, seed: int) -> FloatArray:
         image = self._mi.render(self._scene, sensor=eye, integrator=integrator, spp=1, seed=seed)
-        return np.asarray(image, np.float64)
+        # What no material answers for (a ray along a surface) is black.
+        return np.nan_to_num(np.asarray(image, np.float64), nan=0.0, posinf=0.0, neginf=0.0)
 
     def _place(self, states: FloatArray) -> None:
         transforms = self.instrument.link_transforms(states)
@@ -193,8 +208,9 @@ def _mesh(
     places: FloatArray,
     bsdf: Any,
     normals: FloatArray | None = None,
+    attributes: Mapping[str, FloatArray] | None = None,
 ) -> Any:
-    """A mesh with its material."""
+    """A mesh with its material, and further numbers at its vertices."""
     properties = mi.Properties()
     properties["bsdf"] = mi.load_dict(bsdf) if isinstance(bsdf, dict) else bsdf
     mesh = mi.Mesh(
@@ -207,4 +223,6 @@ def _mesh(
         parameters["vertex_normals"] = normals.astype(np.float32).ravel()
     parameters["vertex_texcoords"] = places.astype(np.float32).ravel()
     parameters.update()
+    for name_, values in (attributes or {}).items():
+        mesh.add_attribute(name_, values.shape[1], values.astype(np.float32).ravel())
     return mesh
