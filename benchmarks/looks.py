@@ -1,9 +1,9 @@
 """Statistics of images, ours beside real ones: ``python benchmarks/looks.py DATASET [--real DIR] [--out PNG]``.
 
-Of each frame, levels of 255: mean and spread of the brightness (the brightest channel), mean saturation, of the whole and
-of instruments and background apart, strength of the gradients of grey, and contrast at the mask's edge. A folder of real
-frames has ``images/*.png`` and ``masks/*.png`` of the same names, white being instrument. The picture shows ours, and of
-the real ones no more than their statistics.
+Of each frame, levels of 255: mean and spread of the brightness (the brightest channel), mean saturation, of the whole
+and of instruments and background apart, strength of the gradients of grey, and contrast at the mask's edge. A folder of
+real frames has ``images/*.png`` and ``masks/*.png`` of the same names, white being instrument. The picture shows ours,
+and of the real ones no more than their statistics.
 """
 
 from __future__ import annotations

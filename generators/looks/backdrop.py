@@ -164,7 +164,7 @@ def _drape(look: Look, size: int) -> _Patterns:
     rng = look.rng("drape")
     cloth, wide = weave(size, 150, rng), noise(size, 0.3, rng)
     base = np.array(DRAPE) + look["drape_grey"] * (np.array(GREY) - np.array(DRAPE))
-    colour = base * (1.0 + 0.48 * cloth + 0.06 * wide)[..., None]
+    colour = base * (1.0 + 0.40 * cloth + 0.06 * wide)[..., None]
     roughness = np.full((size, size), 0.9, np.float32)
     return _Patterns(colour, roughness, np.asarray(0.00008 * cloth, np.float32), np.zeros_like(cloth), 0.0)
 

@@ -18,8 +18,7 @@ from surgbench.instrument import Instrument
 from surgbench.instrument.spec import LinkPoint
 
 # Triangles near a marker are divided until their edges are shorter.
-FINEST_M = 1.5e-4
-EDGE_M = 5e-5
+FINEST_M = 1.2e-4
 
 
 @dataclass(frozen=True)
@@ -70,35 +69,43 @@ def markers_of(instrument: Instrument) -> tuple[Marker, ...]:
     return tuple(marker for marker in MARKERS if marker.point.link in instrument.meshes)
 
 
-def painted(surface: Surface, markers: tuple[Marker, ...]) -> tuple[Surface, FloatArray, FloatArray]:
-    """A link's surface, divided finely under its markers, which leaves its shape as it is.
+def painted(surface: Surface, markers: tuple[Marker, ...]) -> tuple[Surface, dict[str, Surface]]:
+    """A link's surface in parts, divided finely about its markers, which leaves its shape as it is.
 
     Args:
         surface: Of one link.
         markers: That are on it.
 
     Returns:
-        The surface; and of each of its vertices how much of it is paint ``(3 F,)`` and which colour ``(3 F, 3)``.
+        What is not painted; and each marker's name with what is, where that is anything.
     """
-    if markers:
-        surface = _divided(surface, markers)
-    share = np.zeros(len(surface.vertices_m))
-    colour = np.full((len(surface.vertices_m), 3), 0.5)
+    if not markers:
+        return surface, {}
+    corners = _divided(surface, markers)
+    middles = corners[0].mean(axis=1)
+    bare = np.ones(len(middles), dtype=bool)
+    spots = {}
     for marker in markers:
-        off = np.linalg.norm(surface.vertices_m - marker.point.point_m, axis=1) - marker.radius_m
-        near = off < 3 * EDGE_M
-        colour[near] = marker.colour
-        share = np.maximum(share, np.clip(0.5 - off / (2 * EDGE_M), 0.0, 1.0))
-    return surface, share, colour
+        own = bare & (np.linalg.norm(middles - marker.point.point_m, axis=1) < marker.radius_m)
+        bare &= ~own
+        if own.any():
+            spots[marker.name] = _surface([part[own] for part in corners])
+    return _surface([part[bare] for part in corners]), spots
 
 
-def _divided(surface: Surface, markers: tuple[Marker, ...]) -> Surface:
-    """Triangles within reach of a marker, each cut in two along its longest edge until all edges there are short."""
+def _surface(corners: list[FloatArray]) -> Surface:
+    vertices, normals, places = (part.reshape(-1, part.shape[2]) for part in corners)
+    return Surface(vertices, normals, places)
+
+
+def _divided(surface: Surface, markers: tuple[Marker, ...]) -> list[FloatArray]:
+    """``(F, 3, ...)`` vertices, normals and places; triangles within reach of a marker are cut until they are small."""
     corners = [part.reshape(-1, 3, part.shape[1]) for part in (surface.vertices_m, surface.normals, surface.places)]
     while True:
         long = _to_be_cut(corners[0], markers)
         if not long.any():
-            break
+            return corners
+        # Along the longest edge.
         edges = np.linalg.norm(corners[0][long] - np.roll(corners[0][long], -1, axis=1), axis=2)
         longest = edges.argmax(axis=1)
         # The longest edge first: its ends are corners 0 and 1.
@@ -113,15 +120,13 @@ def _divided(surface: Surface, markers: tuple[Marker, ...]) -> Surface:
             ]
             cut.append(np.concatenate([part[~long], *halves]))
         corners = cut
-    vertices, normals, places = (part.reshape(-1, part.shape[2]) for part in corners)
-    return Surface(vertices, normals, places)
 
 
 def _to_be_cut(corners: FloatArray, markers: tuple[Marker, ...]) -> NDArray[np.bool_]:
     edges = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2).max(axis=1)
     near = np.zeros(len(corners), dtype=bool)
     for marker in markers:
-        near |= _distance(np.array(marker.point.point_m), corners) < marker.radius_m + 2 * EDGE_M
+        near |= _distance(np.array(marker.point.point_m), corners) < marker.radius_m
     return np.asarray(near & (edges > FINEST_M))
 
 

@@ -11,7 +11,6 @@ from surgbench.generators.looks.look import Look
 from surgbench.generators.looks.patterns import Pattern, noise, scratches, threshold
 
 STEEL_PX = 512
-PAINT_SHARE, PAINT_COLOUR = "vertex_paint_share", "vertex_paint_colour"
 SHAFT_PX = (2048, 256)
 # Of the ring about the shaft, and of the bare steel that carries the wrist.
 RING_M, CLEVIS_M = 0.0008, 0.0042
@@ -79,7 +78,7 @@ def shaft(mi: Any, look: Look, low_m: float, high_m: float) -> dict[str, Any]:
         "weight": texture(mi, metal),
         "coat": {
             "type": "principled",
-            "base_color": texture(mi, np.clip(coat[..., None] * np.array([0.95, 1.0, 1.1]), 0.0, 0.8)),
+            "base_color": texture(mi, np.clip(coat[..., None] * np.array([0.98, 1.0, 1.03]), 0.0, 0.8)),
             "roughness": texture(mi, np.clip(alpha, 0.05, 1.0)),
             "specular": 0.5,
         },
@@ -87,14 +86,9 @@ def shaft(mi: Any, look: Look, low_m: float, high_m: float) -> dict[str, Any]:
     }
 
 
-def paint(material: Any) -> dict[str, Any]:
-    """A material with spots of paint, where the mesh's vertices say."""
-    return {
-        "type": "blendbsdf",
-        "weight": {"type": "mesh_attribute", "name": PAINT_SHARE},
-        "bare": material,
-        "paint": {"type": "diffuse", "reflectance": {"type": "mesh_attribute", "name": PAINT_COLOUR}},
-    }
+def paint(colour: tuple[float, float, float]) -> dict[str, Any]:
+    """The BSDF of dry paint of a linear colour."""
+    return {"type": "diffuse", "reflectance": {"type": "rgb", "value": list(colour)}}
 
 
 def texture(mi: Any, values: Any) -> dict[str, Any]:

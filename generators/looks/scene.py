@@ -7,7 +7,7 @@ sample a pass also makes the sums the same whatever the number of threads.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,7 @@ from surgbench.camera import NEAR_M, Camera
 from surgbench.generators.looks.backdrop import make_backdrop
 from surgbench.generators.looks.look import Look
 from surgbench.generators.looks.markers import markers_of, painted
-from surgbench.generators.looks.materials import PAINT_COLOUR, PAINT_SHARE, paint, shaft, steel
+from surgbench.generators.looks.materials import paint, shaft, steel
 from surgbench.generators.looks.surface import Surface, link_surface
 from surgbench.generators.looks.variants import use
 from surgbench.geometry import FloatArray, inverse_transform
@@ -84,14 +84,12 @@ class PictureRenderer:
         materials = self._materials()
         spots = markers_of(instrument) if markers else ()
         for name, whole in surfaces.items():
-            surface, share, colour = painted(whole, tuple(spot for spot in spots if spot.point.link == name))
-            material, attributes = materials[name], {}
-            if share.any():
-                material = self._mi.load_dict(paint(materials[name]))
-                attributes = {PAINT_SHARE: share[:, None], PAINT_COLOUR: colour}
-            corners = surface.vertices_m, surface.faces, surface.places
-            mesh = _mesh(self._mi, name, *corners, material, surface.normals, attributes)
-            scene[f"shape_{name}"] = {"type": "shapegroup", "mesh": mesh}
+            bare, paints = painted(whole, tuple(spot for spot in spots if spot.point.link == name))
+            group: dict[str, Any] = {"type": "shapegroup", "bare": _part(self._mi, name, bare, materials[name])}
+            for spot in spots:
+                if spot.name in paints:
+                    group[spot.name] = _part(self._mi, spot.name, paints[spot.name], paint(spot.colour))
+            scene[f"shape_{name}"] = group
             for arm in range(count):
                 scene[f"place_{arm}_{name}"] = {
                     "type": "instance",
@@ -136,7 +134,7 @@ class PictureRenderer:
             self._parameters.update()
             light = self._render(eye, self._path, (seed + number) % (1 << 32))
             # Single rays by way of two mirrors would be bright dots.
-            light[..., :3] = np.minimum(light[..., :3], BRIGHTEST * light[..., :3].mean())
+            light[..., :3] = np.clip(light[..., :3], 0.0, BRIGHTEST * light[..., :3].mean())
             total += light
         return np.asarray(total / count, np.float32)
 
@@ -200,6 +198,10 @@ class PictureRenderer:
         return materials
 
 
+def _part(mi: Any, name: str, surface: Surface, bsdf: Any) -> Any:
+    return _mesh(mi, name, surface.vertices_m, surface.faces, surface.places, bsdf, surface.normals)
+
+
 def _mesh(
     mi: Any,
     name: str,
@@ -208,9 +210,8 @@ def _mesh(
     places: FloatArray,
     bsdf: Any,
     normals: FloatArray | None = None,
-    attributes: Mapping[str, FloatArray] | None = None,
 ) -> Any:
-    """A mesh with its material, and further numbers at its vertices."""
+    """A mesh with its material."""
     properties = mi.Properties()
     properties["bsdf"] = mi.load_dict(bsdf) if isinstance(bsdf, dict) else bsdf
     mesh = mi.Mesh(
@@ -223,6 +224,4 @@ def _mesh(
         parameters["vertex_normals"] = normals.astype(np.float32).ravel()
     parameters["vertex_texcoords"] = places.astype(np.float32).ravel()
     parameters.update()
-    for name_, values in (attributes or {}).items():
-        mesh.add_attribute(name_, values.shape[1], values.astype(np.float32).ravel())
     return mesh
