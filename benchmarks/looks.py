@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from surgbench import open_dataset
 from surgbench.tasks.instrument.dataset import InstrumentDataset
 
-Image, Mask = NDArray[np.uint8], NDArray[np.bool_]
+Image = NDArray[np.uint8]
+Mask = NDArray[np.bool_]
 EDGE_PX = 5
 HISTOGRAMS = ("brightness", "saturation", "gradient")
 LEVELS = {"brightness": 256, "saturation": 256, "gradient": 40}

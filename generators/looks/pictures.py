@@ -57,6 +57,10 @@ class PictureWriter:
         *,
         third: bool,
     ) -> None:
+        import drjit
+
+        # With several, now and then a pixel is another by one level: whoever wants more cores has more jobs.
+        drjit.set_thread_count(1)
         self._images, self._variant, self._instrument = images, variant, instrument
         self._dt_s, self._seed, self._third = dt_s, seed, third
         self._lens = Lens(camera)

@@ -182,7 +182,7 @@ class Sequence:
             return None
         self._check(None, frame)
         path = self.root / truth_picture_path(self.id, DEPTH_KIND, frame)
-        return read_depth(path, self.camera.width, self.camera.height) * DEPTH_UNIT_M
+        return np.asarray(read_depth(path, self.camera.width, self.camera.height) * DEPTH_UNIT_M, np.float64)
 
     def links(self, frame: int) -> NDArray[np.uint8] | None:
         """``(height, width)`` which link is seen: 0 for none, else 1 + its place in the instrument file, 64 more of the
