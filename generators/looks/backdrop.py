@@ -154,7 +154,7 @@ def _tissue(look: Look, size: int) -> _Patterns:
     net, tall = vessels(size, int(4 + 26 * look["vessels"]), rng)
     colour = colour + (0.75 * net)[..., None] * (np.array(VESSEL) - colour)
     colour = colour * (1.0 + 0.24 * fine)[..., None]
-    roughness = look["tissue_roughness"] * (1.0 + 0.25 * wide + 0.15 * fine)
+    roughness = np.asarray(look["tissue_roughness"] * (1.0 + 0.25 * wide + 0.15 * fine), np.float32)
     ripples, grain = noise(size, 0.05, rng, octaves=3, fade=0.45), noise(size, 0.012, rng, octaves=2)
     bumps = 0.00035 * ripples + 0.00003 * grain - 0.0006 * tall - 0.0006 * lump
     return _Patterns(colour, roughness, bumps.astype(np.float32), -0.25 * lump - 0.1 * tall, look["tissue_wet"])
