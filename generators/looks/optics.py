@@ -26,6 +26,8 @@ GLARE, GLARE_WIDTH = 0.08, 1 / 50
 # Linear light that just saturates, exposure applied: a knee bends what is brighter than half of white.
 WHITE = 2.5
 SHARPEN_PX = 1.3
+# Share of the noise that all colours have in common, as their interpolation and denoising leaves it.
+GREY_NOISE = 0.5
 BISECTIONS = 40
 
 
@@ -96,7 +98,8 @@ class Optics:
         """
         look = self._look
         toned = self._toned(self._seen(linear, depth_m, time_s, hidden) * np.float32(self.gain))
-        noise = rng.standard_normal(toned.shape, dtype=np.float32)
+        noise = np.float32(np.sqrt(1.0 - GREY_NOISE)) * rng.standard_normal(toned.shape, dtype=np.float32)
+        noise += np.float32(np.sqrt(GREY_NOISE)) * rng.standard_normal(toned.shape[:2], dtype=np.float32)[..., None]
         if look["grain_px"] > 0.0:
             noise = _blurred(noise, look["grain_px"])
             noise /= max(float(noise.std()), 1e-6)
