@@ -127,8 +127,8 @@ def make_views(preset: Preset, sequence: str, states: FloatArray, instrument: In
         truth: dict[str, FloatArray] = {}
         for index, arm in enumerate(ARMS):
             rng = generator(**axes, arm=arm, view=name, purpose="auxiliary jitter")
-            truth |= _pose_columns(arm, of_arm[arm])
-            observed |= _pose_columns(arm, report(of_arm[arm], settings, constant, rng))
+            truth |= pose_columns_of(arm, of_arm[arm])
+            observed |= pose_columns_of(arm, report(of_arm[arm], settings, constant, rng))
             rng = generator(**axes, arm=arm, view=name, purpose="keypoints")
             own = np.array([ChangeOfView(T).states(one) for T, one in zip(of_arm[arm], states[:, index], strict=True)])
             points = observe_keypoints(own, instrument, settings.camera, preset.keypoints, rng)
@@ -160,6 +160,7 @@ def camera_of(preset: Preset) -> dict[str, Camera]:
     return {} if preset.auxiliary is None else {AUXILIARY_CAMERA: preset.auxiliary.camera}
 
 
-def _pose_columns(arm: Arm, poses: FloatArray) -> dict[str, FloatArray]:
+def pose_columns_of(kind: str, poses: FloatArray) -> dict[str, FloatArray]:
+    """Columns of poses ``(frames, 4, 4)`` that belong to a kind of masks."""
     numbers = np.hstack([rotation_vector(poses[:, :3, :3]), poses[:, :3, 3]])
-    return dict(zip(arm_columns(arm, VIEW_COLUMNS), numbers.T, strict=True))
+    return dict(zip(arm_columns(kind, VIEW_COLUMNS), numbers.T, strict=True))

@@ -17,6 +17,8 @@ from surgbench.dataset.writer import DatasetWriter
 from surgbench.generators.auxiliary import camera_of
 from surgbench.generators.corruption import corrupt
 from surgbench.generators.instances import told_apart
+from surgbench.generators.looks.pictures import PictureWriter
+from surgbench.generators.looks.sequence import EYE, EYE_KINDS, SequenceLook
 from surgbench.generators.presets import Corruption, Preset
 from surgbench.generators.render import MaskRenderer
 from surgbench.generators.sequence import ToldApart
@@ -48,6 +50,7 @@ class Chunk:
         states: ``(n, 2, 9)`` true states.
         views: Auxiliary view and arm to ``(n, 4, 4)`` true T_view_cam.
         apart: How the arms are told apart, of the whole sequence; ``None`` where they are not.
+        look: What images need, of the whole sequence; ``None`` where there are none.
     """
 
     entry: SequenceEntry
@@ -55,6 +58,7 @@ class Chunk:
     states: FloatArray
     views: dict[tuple[str, Arm], FloatArray]
     apart: ToldApart | None
+    look: SequenceLook | None = None
 
 
 class FrameWriter:
@@ -67,6 +71,7 @@ class FrameWriter:
         out: The dataset's folder.
         threads: Of Mitsuba; ``None`` leaves them as they are.
         stop: Once true, no further frame is rendered.
+        variant: Of Mitsuba, for images.
     """
 
     def __init__(
@@ -77,6 +82,7 @@ class FrameWriter:
         out: Path,
         threads: int | None,
         stop: ctypes.c_bool | None = None,
+        variant: str = "scalar_rgb",
     ) -> None:
         self.seed = preset.seed
         self.settings: Corruption = preset.corruption
@@ -85,6 +91,12 @@ class FrameWriter:
         told_apart = preset.instances is not None
         self._arms = ArmsRenderer(instrument, camera, threads, told_apart=told_apart)
         self._auxiliary = [MaskRenderer([instrument], own, threads) for own in camera_of(preset).values()]
+        self._pictures = None
+        if preset.images is not None:
+            third = preset.occluders.third_tool > 0
+            self._pictures = PictureWriter(
+                preset.images, variant, instrument, camera, preset.dt_s, preset.seed, third=third
+            )
 
     def render(self, chunk: Chunk, progress: Callable[[float], None] = lambda frames: None) -> int:
         """Write a chunk's masks, those that are not there; returns its number of frames."""
@@ -103,9 +115,30 @@ class FrameWriter:
                 for (view, arm), poses in chunk.views.items():
                     own = ChangeOfView(poses[offset]).states(states[ARMS.index(arm)])
                     files |= self._auxiliary_frame(sequence, view, frame, arm, own)
+                if chunk.look is not None:
+                    files |= self._pictures_of(sequence, frame, states, chunk.look, chunk.apart)
                 writer.write(str(frame), files, about)
             progress(1)
         return len(chunk.states)
+
+    def _pictures_of(
+        self, sequence: str, frame: int, states: FloatArray, look: SequenceLook, apart: ToldApart | None
+    ) -> dict[str, bytes]:
+        """A frame's images, and the other eye's masks."""
+        assert self._pictures is not None
+        third = hidden = None
+        if apart is not None:
+            third = apart.in_the_way.third_state(frame)
+            hidden = apart.in_the_way.hidden(frame, self._arms.camera)
+        files: dict[str, bytes] = self._pictures.files(sequence, frame, states, look, third, hidden)
+        if look.T_eye_cam is not None:
+            seen = ChangeOfView(look.T_eye_cam).states(states.reshape(-1)).reshape(states.shape)
+            masks: dict[MaskKind, Mask] = dict(zip(ARMS, self._arms.alone(seen), strict=True))
+            masks["both"] = masks["left"] | masks["right"]
+            folder = view_folder(sequence, EYE)
+            noisy = {kind: self._corrupted(masks[kind], folder, frame, kind) for kind in EYE_KINDS}
+            files |= self._files(folder, frame, masks, noisy)
+        return files
 
     def _frame(self, sequence: str, frame: int, states: FloatArray) -> dict[str, bytes]:
         masks: dict[MaskKind, Mask] = dict(zip(ARMS, self._arms.alone(states), strict=True))

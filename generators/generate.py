@@ -20,6 +20,9 @@ from surgbench.dataset.writer import DatasetWriter, collect, read_part
 from surgbench.errors import ConfigError, unknown_name
 from surgbench.generators.auxiliary import AUXILIARY_CAMERA, camera_of
 from surgbench.generators.frames import KINDS, VISIBLE_KINDS, Chunk, FrameWriter, chunk_part
+from surgbench.generators.looks.look import encode_look
+from surgbench.generators.looks.sequence import EYE, EYE_KINDS
+from surgbench.generators.looks.variants import pick
 from surgbench.generators.mismatch import NO_MISMATCH, real_camera, real_instrument
 from surgbench.generators.presets import Preset
 from surgbench.generators.resumable import (
@@ -39,11 +42,13 @@ from surgbench.tasks.instrument.format import (
     ARMS,
     AUXILIARY_CONVENTION,
     CONVENTIONS,
+    LOOK_CONVENTION,
     VISIBILITY_CONVENTION,
     AuxiliaryEntry,
     InstrumentManifest,
     SequenceEntry,
     instrument_folder,
+    look_path,
     poses_path,
     sequence_files,
     states_path,
@@ -61,6 +66,8 @@ VISIBLE_CHUNK_FRAMES = 20
 INSTRUMENTS = "instruments"
 # Of a 1-bit mask's pixels, how many bytes the PNG takes at most, measured with room to spare.
 MASK_BYTES_PER_PIXEL = 0.01
+# The same of an image with noise, and of a depth picture.
+IMAGE_BYTES_PER_PIXEL, DEPTH_BYTES_PER_PIXEL = 2.5, 2.0
 TABLE_BYTES_PER_FRAME = 500
 
 
@@ -89,6 +96,7 @@ class Plan:
         sequences: The dataset's sequences.
         marker: Effective configuration as it is kept in the folder until the dataset is complete.
         instrument_files: Names and bytes of the instrument's own files.
+        variant: Of Mitsuba, for images.
     """
 
     preset: Preset
@@ -98,6 +106,7 @@ class Plan:
     sequences: tuple[SequenceEntry, ...]
     marker: dict[str, Any]
     instrument_files: dict[str, bytes]
+    variant: str = "scalar_rgb"
 
     @property
     def name(self) -> str:
@@ -141,6 +150,13 @@ class Plan:
             pixels, views = auxiliary.camera.width * auxiliary.camera.height, len(auxiliary.views)
             mask += blocks(pixels * MASK_BYTES_PER_PIXEL) * 2 * len(ARMS) * views
             numbers += TABLE_BYTES_PER_FRAME * views
+        images = self.preset.images
+        if images is not None:
+            eyes = 1 if images.stereo is None else 2
+            shown = IMAGE_BYTES_PER_PIXEL * eyes + DEPTH_BYTES_PER_PIXEL * images.depth + MASK_BYTES_PER_PIXEL
+            mask += blocks(camera.width * camera.height * shown)
+            mask += blocks(camera.width * camera.height * MASK_BYTES_PER_PIXEL) * 2 * len(EYE_KINDS) * (eyes - 1)
+            numbers += 2 * TABLE_BYTES_PER_FRAME * (eyes - 1)
         files = len(self.paths)
         return int(self.frames * (mask + numbers) + blocks(files * LISTED_BYTES_PER_FILE))
 
@@ -168,11 +184,14 @@ def plan_dataset(preset: Preset, part: Part | None = None) -> Plan:
     instrument = load_instrument(preset.instrument)
     digits = max(3, len(str(preset.pairs - 1)))
     views = () if preset.auxiliary is None else preset.auxiliary.views
-    auxiliary = AuxiliaryEntry(camera=AUXILIARY_CAMERA, kinds=ARMS, keypoints=True)
+    auxiliary = dict.fromkeys(views, AuxiliaryEntry(camera=AUXILIARY_CAMERA, kinds=ARMS, keypoints=True))
+    images = preset.images
+    if images is not None and images.stereo is not None:
+        auxiliary[EYE] = AuxiliaryEntry(camera=CAMERA_NAME, kinds=EYE_KINDS, keypoints=True, images=True)
     sequences = tuple(
         SequenceEntry(
             id=f"{index:0{digits}d}",
-            frames=preset.frames,
+            frames=preset.length(index),
             dt_s=preset.dt_s,
             speed=preset.motion.speed(preset.half(index)),
             camera=CAMERA_NAME,
@@ -183,7 +202,11 @@ def plan_dataset(preset: Preset, part: Part | None = None) -> Plan:
             readings=True,
             truth=True,
             visibility=preset.instances is not None,
-            auxiliary=dict.fromkeys(views, auxiliary),
+            auxiliary=auxiliary,
+            images=images is not None,
+            look=images is not None,
+            depth=images is not None and images.depth,
+            links=images is not None and images.links,
         )
         for index in range(preset.pairs)
     )
@@ -206,7 +229,10 @@ def plan_dataset(preset: Preset, part: Part | None = None) -> Plan:
         }
     if part is not None:
         marker["part"] = {"sequences": [entry.id for entry in sequences], "frames": part.frames}
-    return Plan(preset, instrument, real, camera, sequences, marker, files)
+    variant = "scalar_rgb"
+    if images is not None:
+        marker["images_variant"] = variant = pick(images.variant)
+    return Plan(preset, instrument, real, camera, sequences, marker, files, variant)
 
 
 def _instrument_files(instrument: Instrument) -> dict[str, bytes]:
@@ -261,8 +287,9 @@ def _chunks(plan: Plan, out: Path, finished: list[SequenceEntry], apart: dict[st
             apart[entry.id] = made.apart
         for start in range(0, entry.frames, CHUNK_FRAMES):
             part = slice(start, start + CHUNK_FRAMES)
-            poses = {(name, arm): view.T_view_cam[arm][part] for name, view in made.views.items() for arm in ARMS}
-            yield Chunk(entry, start, made.states[part], poses, made.apart)
+            held = {name: view for name, view in made.views.items() if name != EYE}
+            poses = {(name, arm): view.T_view_cam[arm][part] for name, view in held.items() for arm in ARMS}
+            yield Chunk(entry, start, made.states[part], poses, made.apart, made.look)
 
 
 def _write_tables(plan: Plan, out: Path, entry: SequenceEntry) -> tuple[SequenceEntry, SequenceTables]:
@@ -272,13 +299,16 @@ def _write_tables(plan: Plan, out: Path, entry: SequenceEntry) -> tuple[Sequence
         Its part of the manifest, now with the places of the arms' bases, and what was made of it.
     """
     # Of the whole sequence, also where a part of it is made: what moves or errs slowly depends on its length.
-    whole = entry.model_copy(update={"frames": plan.preset.frames})
+    whole = entry.model_copy(update={"frames": plan.preset.length(int(entry.id))})
     made = make_tables(plan.preset, whole, plan.real_instrument, plan.real_camera).first(entry.frames)
     contents = {observations_path(entry.id): made.observed, states_path(entry.id): made.truth}
     for name, view in made.views.items():
         folder = view_folder(entry.id, name)
         contents |= {observations_path(folder): view.observed, poses_path(folder): view.truth}
     files = {path: tables.encode_table(columns) for path, columns in contents.items()}
+    images = plan.preset.images
+    if made.look is not None and images is not None:
+        files[look_path(entry.id)] = encode_look(made.look.look, images, plan.variant)
     DatasetWriter(out, entry.id).write("tables", files)
     return entry.model_copy(update={"T_cam_base": made.T_cam_base}), made
 
@@ -301,7 +331,7 @@ def _write_visibility(out: Path, entry: SequenceEntry, apart: ToldApart) -> None
 
 
 def _frame_writer(plan: Plan, out: Path, threads: int | None, stop: ctypes.c_bool | None = None) -> FrameWriter:
-    return FrameWriter(plan.preset, plan.real_instrument, plan.real_camera, out, threads, stop)
+    return FrameWriter(plan.preset, plan.real_instrument, plan.real_camera, out, threads, stop, plan.variant)
 
 
 def _visibility_part(sequence: str) -> str:
@@ -339,7 +369,8 @@ def _manifest(plan: Plan, out: Path, sequences: list[SequenceEntry]) -> Instrume
         seed=plan.preset.seed,
         configuration=configuration(plan),
         conventions=CONVENTIONS
-        | ({} if plan.preset.auxiliary is None else AUXILIARY_CONVENTION)
+        | (AUXILIARY_CONVENTION if any(entry.auxiliary for entry in sequences) else {})
+        | ({} if plan.preset.images is None else LOOK_CONVENTION)
         | ({} if plan.preset.instances is None else VISIBILITY_CONVENTION),
         cameras={CAMERA_NAME: plan.preset.camera, **camera_of(plan.preset)},
         instruments={name: f"{instrument_folder(name)}/instrument.yaml"},

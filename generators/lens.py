@@ -1,11 +1,16 @@
-"""Cameras whose lens distorts: what they see of a pinhole camera's mask."""
+"""Cameras whose lens distorts: what they see of a pinhole camera's masks and images."""
 
 from __future__ import annotations
 
+from typing import Any, TypeVar
+
+import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from surgbench.camera import Camera
-from surgbench.dataset.masks import Mask
+
+Level = TypeVar("Level", bound=np.generic)
 
 
 class Lens:
@@ -15,10 +20,12 @@ class Lens:
         camera: With or without distortion.
 
     Attributes:
+        camera: As given.
         pinhole: Without distortion, and wide enough to hold all that the lens shows.
     """
 
     def __init__(self, camera: Camera) -> None:
+        self.camera = camera
         self.pinhole = camera.pinhole
         self._columns = self._rows = None
         if not camera.is_distorted:
@@ -34,10 +41,20 @@ class Lens:
         moved = {"cx": camera.cx - int(low[0]), "cy": camera.cy - int(low[1])}
         self.pinhole = self.pinhole.model_copy(update={"width": width, "height": height, **moved})
         self._columns, self._rows = np.moveaxis(nearest - low, -1, 0)
+        self._exact = np.ascontiguousarray(np.nan_to_num(straight) - low, np.float32)
 
-    def see(self, mask: Mask) -> Mask:
-        """The mask of the camera: each pixel's centre takes the nearest of the pinhole's mask."""
+    def show(self, image: Any) -> Any:
+        """The image of the camera, float32 with or without channels; black where the lens sees nothing."""
+        if self._columns is None:
+            return image
+        seen = cv2.remap(image, self._exact[..., 0], self._exact[..., 1], cv2.INTER_LINEAR)
+        seen[~self._sees] = 0.0
+        return seen
+
+    def see(self, mask: NDArray[Level]) -> NDArray[Level]:
+        """The camera's mask, or picture of numbers: each pixel's centre takes the nearest of the pinhole's mask."""
         if self._columns is None:
             return mask
-        seen: Mask = mask[self._rows, self._columns] & self._sees
+        seen = mask[self._rows, self._columns]
+        seen[~self._sees] = 0
         return seen

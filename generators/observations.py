@@ -95,6 +95,23 @@ def observe_joints(states: FloatArray, settings: Readings, dt_s: float, rng: np.
     return readings
 
 
+def lagged(values: FloatArray, frames: float) -> FloatArray:
+    """What a robot's log says that is behind the images: the first and last values go on beyond the ends.
+
+    Args:
+        values: ``(frames, n)`` of a sequence; angles may be wrapped.
+        frames: How far it is behind; below 0 it is ahead.
+
+    Returns:
+        ``(frames, n)``.
+    """
+    if frames == 0.0:
+        return values
+    times = np.arange(len(values), dtype=np.float64)
+    unwrapped = np.unwrap(values, axis=0)
+    return np.stack([np.interp(times - frames, times, column) for column in unwrapped.T], axis=1)
+
+
 def observe_free_tool(states: FloatArray, settings: Kinematics, rng: np.random.Generator) -> Kinematic:
     """Tool poses of one arm where no robot moves it: the true ones, disturbed by one slowly changing transform.
 

@@ -14,6 +14,7 @@ from surgbench.camera.plausible import implausible
 from surgbench.config import SUFFIXES, Finite, NotNegative, Positive, Section, locate, parse_model, read_yaml
 from surgbench.errors import ConfigError, unknown_name
 from surgbench.generation import with_settings
+from surgbench.generators.looks.sections import Images
 from surgbench.generators.sections import (
     Absences,
     Auxiliary,
@@ -269,6 +270,8 @@ class Readings(Section):
         drift_rho: Its correlation from frame to frame.
         stretch_rad: How far the reading runs ahead of a moving joint, its cables stretched.
         noise_rad: Standard deviation of what is new in every frame.
+        lag_frames: How far readings, tool poses included, are behind the images, drawn for each sequence; below 0 they
+            are ahead.
     """
 
     bias_rad: NotNegative = 0.02
@@ -276,6 +279,19 @@ class Readings(Section):
     drift_rho: Correlation = 0.995
     stretch_rad: NotNegative = 0.0
     noise_rad: NotNegative = 0.002
+    lag_frames: tuple[Finite, Finite] = (0.0, 0.0)
+
+    @field_validator("lag_frames")
+    @classmethod
+    def _ordered(cls, value: tuple[float, float]) -> tuple[float, float]:
+        if value[0] > value[1]:
+            raise ValueError("must be [least, most] with least <= most")
+        return value
+
+    @model_serializer(mode="wrap")
+    def _without_what_is_not_there(self, serialise: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        content: dict[str, Any] = serialise(self)
+        return content if self.lag_frames != (0.0, 0.0) else _less(content, lag_frames=content["lag_frames"])
 
 
 # The left camera of SurgPose at half size, as the paper's code uses it.
@@ -292,6 +308,7 @@ class Preset(Section):
         seed: 0 is a seed like any other.
         pairs: Sequences, each with a left and a right arm.
         frames: Per sequence.
+        lengths: Frames of each sequence, at most ``frames``, in turn, where they are not all as long.
         dt_s: Seconds between frames.
         camera: Intrinsics.
         instrument: Built-in name or instrument file, for both arms. In a preset file, a path is relative to it.
@@ -305,12 +322,14 @@ class Preset(Section):
         auxiliary: Further cameras; none unless told.
         instances: Masks of what is seen of each arm, and how much that is; none unless told.
         occluders: What else is in the way; nothing unless told.
+        images: Images beside the masks; none unless told.
     """
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
     seed: Annotated[int, Field(ge=0)] = 0
     pairs: Annotated[int, Field(ge=1, le=1000)]
     frames: Annotated[int, Field(ge=2, le=1_000_000)]
+    lengths: tuple[Annotated[int, Field(ge=2)], ...] = ()
     dt_s: Positive = 1 / 30
     camera: Camera = PAPER_CAMERA
     instrument: str = "large_needle_driver"
@@ -324,6 +343,11 @@ class Preset(Section):
     auxiliary: Auxiliary | None = None
     instances: Instances | None = None
     occluders: Occluders = NO_OCCLUDERS
+    images: Images | None = None
+
+    def length(self, index: int) -> int:
+        """Frames of a pair."""
+        return min(self.frames, self.lengths[index % len(self.lengths)]) if self.lengths else self.frames
 
     def half(self, index: int) -> Half:
         """Which half of the pairs a pair is in: the last ones, ``fast_share`` of all, have the fast waypoints."""
@@ -331,7 +355,10 @@ class Preset(Section):
 
     @model_serializer(mode="wrap")
     def _without_what_is_not_there(self, serialise: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        return _less(serialise(self), auxiliary=None, instances=None, occluders=NO_OCCLUDERS.model_dump())
+        content: dict[str, Any] = serialise(self)
+        if not self.lengths:
+            del content["lengths"]
+        return _less(content, auxiliary=None, instances=None, images=None, occluders=NO_OCCLUDERS.model_dump())
 
     @model_validator(mode="after")
     def _possible(self) -> Preset:

@@ -11,7 +11,14 @@ from surgbench.camera import Camera
 from surgbench.dataset import tables
 from surgbench.generators.auxiliary import ViewTables, make_views
 from surgbench.generators.instances import swapped_frames
-from surgbench.generators.observations import observe_arm, observe_free_tool, observe_joints, observe_keypoints
+from surgbench.generators.looks.sequence import EYE, SequenceLook, eye_tables, make_look
+from surgbench.generators.observations import (
+    lagged,
+    observe_arm,
+    observe_free_tool,
+    observe_joints,
+    observe_keypoints,
+)
 from surgbench.generators.occluders import InTheWay, put_in_the_way
 from surgbench.generators.presets import Preset
 from surgbench.generators.seen_tips import seen_tips
@@ -53,6 +60,7 @@ class SequenceTables:
         T_cam_base: Nominal place of each arm's base, ``(4, 4)`` row by row.
         views: Those of the auxiliary views.
         apart: Of the whole sequence; ``None`` where the preset tells no arms apart.
+        look: What images need, of the whole sequence; ``None`` for a preset without.
     """
 
     states: FloatArray
@@ -61,13 +69,14 @@ class SequenceTables:
     T_cam_base: dict[Arm, tuple[float, ...]]
     views: dict[str, ViewTables]
     apart: ToldApart | None = None
+    look: SequenceLook | None = None
 
     def first(self, frames: int) -> SequenceTables:
         """The same of the first frames alone."""
         observed = {name: values[:frames] for name, values in self.observed.items()}
         truth = {name: values[:frames] for name, values in self.truth.items()}
         views = {name: view.first(frames) for name, view in self.views.items()}
-        return SequenceTables(self.states[:frames], observed, truth, self.T_cam_base, views, self.apart)
+        return SequenceTables(self.states[:frames], observed, truth, self.T_cam_base, views, self.apart, self.look)
 
 
 def make_tables(preset: Preset, entry: SequenceEntry, instrument: Instrument, camera: Camera) -> SequenceTables:
@@ -84,7 +93,7 @@ def make_tables(preset: Preset, entry: SequenceEntry, instrument: Instrument, ca
     """
     axes: dict[str, str | int] = {"dataset": preset.seed, "sequence": entry.id}
     # All of the sequence, also where only its first frames are wanted: what moves or errs slowly depends on its length.
-    frames = preset.frames
+    frames = preset.length(int(entry.id))
     seen_by = preset.model_copy(update={"camera": camera})
     motion = make_motion(
         seen_by, instrument, preset.half(int(entry.id)), frames, generator(**axes, purpose="trajectory")
@@ -98,17 +107,20 @@ def make_tables(preset: Preset, entry: SequenceEntry, instrument: Instrument, ca
     observed: dict[str, FloatArray] = {tables.TIMESTAMP: np.arange(frames, dtype=np.float64) * entry.dt_s}
     truth: dict[str, FloatArray] = {}
     bases: dict[Arm, tuple[float, ...]] = {}
+    lag = float(generator(**axes, purpose="lag").uniform(*preset.readings.lag_frames))
     for index, arm in enumerate(entry.arms):
         own, robot = motion.states[:, index], motion.arms[index]
+        logged = lagged(own, lag)
         rng = generator(**axes, arm=arm, purpose="keypoints")
         own_hidden = None if hidden is None else hidden[:, index]
         points = observe_keypoints(own, instrument, camera, preset.keypoints, rng, own_hidden)
-        readings = observe_joints(own, preset.readings, entry.dt_s, generator(**axes, arm=arm, purpose="readings"))
+        readings = observe_joints(logged, preset.readings, entry.dt_s, generator(**axes, arm=arm, purpose="readings"))
         rng = generator(**axes, arm=arm, purpose="kinematics")
         if robot is None:
-            tool = observe_free_tool(own, preset.kinematics, rng)
+            tool = observe_free_tool(logged, preset.kinematics, rng)
         else:
-            tool = observe_arm(robot.arm_joints, robot.arm, robot.T_cam_base, preset.kinematics, entry.dt_s, rng)
+            joints = lagged(robot.arm_joints, lag)
+            tool = observe_arm(joints, robot.arm, robot.T_cam_base, preset.kinematics, entry.dt_s, rng)
         observed |= _columns(arm, KEYPOINT_COLUMNS, points.reshape(-1, 4))
         observed |= _columns(arm, READING_COLUMNS, readings + preset.mismatch.joint_offset_rad)
         poses = [rotation_vector(tool.T_base_tool[:, :3, :3]), tool.T_base_tool[:, :3, 3]]
@@ -116,7 +128,10 @@ def make_tables(preset: Preset, entry: SequenceEntry, instrument: Instrument, ca
         bases[arm] = tuple(tool.T_cam_base.ravel().tolist())
         truth |= _columns(arm, STATE_COLUMNS, own)
     views = make_views(preset, entry.id, motion.states, instrument)
-    return SequenceTables(motion.states, observed, truth, bases, views, apart).first(entry.frames)
+    look = make_look(preset, entry.id, motion.states, instrument)
+    if look is not None and look.T_eye_cam is not None:
+        views[EYE] = eye_tables(look.T_eye_cam, motion.states, instrument, camera, preset.keypoints, **axes)
+    return SequenceTables(motion.states, observed, truth, bases, views, apart, look).first(entry.frames)
 
 
 def _columns(arm: Arm, names: tuple[str, ...], values: FloatArray) -> dict[str, FloatArray]:

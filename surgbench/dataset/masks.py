@@ -35,6 +35,14 @@ def encode_image(image: NDArray[np.uint8]) -> bytes:
     return data.tobytes()
 
 
+def encode_levels(levels: NDArray[np.uint8] | NDArray[np.uint16]) -> bytes:
+    """The bytes of a grey PNG of ``(height, width)`` numbers, 8 or 16 bits each."""
+    done, data = cv2.imencode(".png", levels, [cv2.IMWRITE_PNG_COMPRESSION, 6])
+    if not done:
+        raise DatasetError(f"a picture of shape {levels.shape} cannot be written as PNG")
+    return data.tobytes()
+
+
 def read_bytes(path: Path) -> bytes:
     """A file's bytes.
 
@@ -92,3 +100,42 @@ def decode_image(data: bytes, name: str, width: int, height: int) -> NDArray[np.
         DatasetError: It is truncated, no picture, or of another size.
     """
     return as_rgb(decode_picture(data, name, width, height))
+
+
+def read_depth(path: Path, width: int, height: int) -> NDArray[np.uint16]:
+    """Read a depth picture, ``(height, width)`` of 16 bits.
+
+    Raises:
+        DatasetError: It is missing, truncated, of another size or of another depth; one line that names it.
+    """
+    return np.asarray(decode_levels(read_bytes(path), str(path), width, height, np.uint16), np.uint16)
+
+
+def read_links(path: Path, width: int, height: int) -> NDArray[np.uint8]:
+    """Read a picture of numbered links, ``(height, width)`` of 8 bits.
+
+    Raises:
+        DatasetError: As for :func:`read_depth`.
+    """
+    return np.asarray(decode_levels(read_bytes(path), str(path), width, height, np.uint8), np.uint8)
+
+
+def decode_levels(data: bytes, name: str, width: int, height: int, kind: type[np.generic]) -> NDArray[np.generic]:
+    """Decode a grey picture of numbers.
+
+    Args:
+        data: The whole file.
+        name: For the message.
+        width: What it has to be, pixels.
+        height: Likewise.
+        kind: What each number has to be.
+
+    Raises:
+        DatasetError: It is a JPEG, truncated, of another size, has colours, or other numbers.
+    """
+    if is_jpeg(data):
+        raise DatasetError(f"{name}: not a PNG file")
+    picture = decode_picture(data, name, width, height)
+    if picture.ndim != 2 or picture.dtype != kind:
+        raise DatasetError(f"{name}: expected a grey picture of {np.dtype(kind).itemsize * 8} bits")
+    return picture

@@ -6,15 +6,17 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from surgbench.camera import Camera
 from surgbench.dataset import tables
 from surgbench.dataset.manifest import observations_path
-from surgbench.dataset.masks import Mask, read_bytes, read_mask
+from surgbench.dataset.masks import Mask, read_bytes, read_image, read_mask
 from surgbench.errors import DatasetError, unknown_name
 from surgbench.geometry import FloatArray, rigid_transform, rotation_from_vector
 from surgbench.tasks.instrument.format import (
     ARMS,
+    IMAGE_KIND,
     Arm,
     AuxiliaryEntry,
     clean_mask_path,
@@ -63,6 +65,18 @@ class AuxiliaryView:
         self._check_truth()
         self._check(kind, frame)
         return read_mask(self.root / clean_mask_path(self._folder, kind, frame), self.camera.width, self.camera.height)
+
+    def image(self, frame: int) -> NDArray[np.uint8] | None:
+        """The camera's image, ``(height, width, 3)`` uint8 RGB; ``None`` where there are no images."""
+        path = self.image_path(frame)
+        return None if path is None else read_image(path, self.camera.width, self.camera.height)
+
+    def image_path(self, frame: int) -> Path | None:
+        """Where a frame's image lies; ``None`` where there are no images."""
+        if not self.entry.images:
+            return None
+        self._check(self.entry.kinds[0], frame)
+        return (self.root / observed_path(self._folder, IMAGE_KIND, frame)).resolve()
 
     def keypoints(self, kind: str, arm: Arm) -> FloatArray:
         """``(frames, 2, 2)`` tip pixels (u, v) in no particular order; NaN where a tip was not seen.

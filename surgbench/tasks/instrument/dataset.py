@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surgbench.camera import Camera
-from surgbench.config import parse_model
+from surgbench.config import parse_model, read_yaml
 from surgbench.dataset import tables
 from surgbench.dataset.base import Dataset
 from surgbench.dataset.manifest import observations_path
-from surgbench.dataset.masks import Mask, read_bytes, read_image, read_mask
+from surgbench.dataset.masks import Mask, read_bytes, read_depth, read_image, read_links, read_mask
 from surgbench.errors import DatasetError, unknown_name
 from surgbench.geometry import FloatArray, rigid_transform, rotation_from_vector
 from surgbench.instrument import Instrument, load_instrument
@@ -23,7 +23,10 @@ from surgbench.instrument.arms import DEFAULT_ARM, load_arm
 from surgbench.instrument.arms import Arm as RobotArm
 from surgbench.tasks.instrument.auxiliary import AuxiliaryView
 from surgbench.tasks.instrument.format import (
+    DEPTH_KIND,
+    DEPTH_UNIT_M,
     IMAGE_KIND,
+    LINKS_KIND,
     ROBOT_ARM,
     Arm,
     InstrumentManifest,
@@ -31,8 +34,10 @@ from surgbench.tasks.instrument.format import (
     SequenceEntry,
     clean_mask_path,
     labels_path,
+    look_path,
     observed_path,
     states_path,
+    truth_picture_path,
     visibility_path,
 )
 from surgbench.tasks.instrument.tables import (
@@ -166,6 +171,28 @@ class Sequence:
             return None
         self._check(None, frame)
         return (self.root / observed_path(self.id, IMAGE_KIND, frame)).resolve()
+
+    def look(self) -> dict[str, Any] | None:
+        """How the images were made, as ``truth/<id>/look.yaml`` says; ``None`` where they were not."""
+        return read_yaml(self.root / look_path(self.id), "look") if self.entry.look else None
+
+    def depth_m(self, frame: int) -> FloatArray | None:
+        """``(height, width)`` metres from the camera's plane, 0 where nothing is; ``None`` if there are none."""
+        if not self.entry.depth:
+            return None
+        self._check(None, frame)
+        path = self.root / truth_picture_path(self.id, DEPTH_KIND, frame)
+        return np.asarray(read_depth(path, self.camera.width, self.camera.height) * DEPTH_UNIT_M, np.float64)
+
+    def links(self, frame: int) -> NDArray[np.uint8] | None:
+        """``(height, width)`` which link is seen: 0 for none, else 1 + its place in the instrument file, 64 more of the
+        right arm; ``None`` if there are none.
+        """  # noqa: D205
+        if not self.entry.links:
+            return None
+        self._check(None, frame)
+        path = self.root / truth_picture_path(self.id, LINKS_KIND, frame)
+        return read_links(path, self.camera.width, self.camera.height)
 
     def auxiliary(self, name: str) -> AuxiliaryView:
         """One of the sequence's auxiliary views.

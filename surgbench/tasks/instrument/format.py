@@ -22,6 +22,10 @@ ARMS: tuple[Arm, Arm] = ("left", "right")
 
 
 IMAGE_KIND = "image"
+# Kinds of pictures under ``truth/``, where there are images: depth, and which link is seen.
+DEPTH_KIND, LINKS_KIND = "depth", "links"
+# A level of a depth picture.
+DEPTH_UNIT_M = 1e-5
 
 
 CONVENTIONS = {
@@ -73,6 +77,15 @@ VISIBILITY_CONVENTION = {
 
 
 # Likewise.
+LOOK_CONVENTION = {
+    "images": "8-bit RGB of the sequence's camera, whose masks fit them; truth/<id>/look.yaml says how they were made",
+    "depth": "16-bit PNG under truth/<id>/depth/: distance from the camera's plane in units of 0.01 mm; 0: nothing",
+    "links": "8-bit PNG under truth/<id>/links/: 0 nothing, else 1 + the link's place in the instrument file, and 64 "
+    "more of the right arm: what is seen at the pixel's centre",
+}
+
+
+# Likewise.
 LABELS_CONVENTION = {
     "labels": "points of the instruments as somebody marked them, in labels.parquet; (u, v) pixels, NaN: not marked",
 }
@@ -85,11 +98,17 @@ class AuxiliaryEntry(Section):
         camera: Key in the manifest's ``cameras``.
         kinds: Mask kinds that it has; each may be seen from a pose of its own.
         keypoints: Whether its observations have tip keypoints.
+        images: Whether ``observed/image/`` is there. Left out of the file where it is not.
     """
 
     camera: str
     kinds: Annotated[tuple[MaskKind, ...], Field(min_length=1)]
     keypoints: bool = False
+    images: bool = False
+
+    @model_serializer(mode="wrap")
+    def _without_what_is_not_there(self, serialise: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        return {key: value for key, value in serialise(self).items() if key != "images" or value}
 
 
 class SequenceEntry(Section):
@@ -113,6 +132,9 @@ class SequenceEntry(Section):
             none.
         truth: Whether ``truth/<id>/`` is there.
         visibility: Whether that holds how much of each arm is seen. Left out of the file where it does not.
+        look: Whether that holds how the images were made. Left out of the file where it does not.
+        depth: Whether it holds depth pictures. Likewise.
+        links: Whether it holds pictures of which link is seen. Likewise.
         T_cam_base: Arm to the nominal place of its base frame in the camera frame, ``(4, 4)`` row by row, of every arm
             whose tool poses the observations hold; empty where they hold none.
         source_frames: File stems in the recording this was imported from.
@@ -134,6 +156,9 @@ class SequenceEntry(Section):
     labels: tuple[Annotated[str, Field(pattern=r"^[a-z0-9_]+$")], ...] = ()
     truth: bool = False
     visibility: bool = False
+    look: bool = False
+    depth: bool = False
+    links: bool = False
     T_cam_base: dict[Arm, Annotated[tuple[Finite, ...], Field(min_length=16, max_length=16)]] = {}
     source_frames: tuple[str, ...] = ()
     auxiliary: dict[Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")], AuxiliaryEntry] = {}
@@ -141,7 +166,7 @@ class SequenceEntry(Section):
     @model_serializer(mode="wrap")
     def _without_what_is_not_there(self, serialise: SerializerFunctionWrapHandler) -> dict[str, Any]:
         # So that the hash of a dataset without them does not know of them.
-        optional = ("auxiliary", "arm_joints", "labels", "visibility")
+        optional = ("auxiliary", "arm_joints", "labels", "visibility", "look", "depth", "links")
         return {key: value for key, value in serialise(self).items() if key not in optional or value}
 
     @model_validator(mode="after")
@@ -158,6 +183,8 @@ class SequenceEntry(Section):
             raise ValueError("a sequence with truth must have masks")
         if self.visibility and not self.truth:
             raise ValueError("a sequence with visibility must have truth")
+        if (self.look or self.depth or self.links) and not (self.truth and self.images):
+            raise ValueError("a sequence with look, depth or links must have truth and images")
         if self.T_cam_base and set(self.T_cam_base) != set(self.arms):
             raise ValueError("T_cam_base must have every arm, or none")
         for arm, numbers in self.T_cam_base.items():
@@ -250,6 +277,16 @@ def visibility_path(sequence: str) -> str:
     return f"truth/{sequence}/visibility.parquet"
 
 
+def look_path(sequence: str) -> str:
+    """Where it lies how a sequence's images were made."""
+    return f"truth/{sequence}/look.yaml"
+
+
+def truth_picture_path(sequence: str, kind: str, frame: int) -> str:
+    """Where a frame's picture under ``truth/`` lies; ``kind`` is ``depth`` or ``links``."""
+    return f"truth/{sequence}/{kind}/{frame_name(frame)}"
+
+
 def labels_path(sequence: str) -> str:
     """Where the points lie that somebody marked in a sequence."""
     return f"truth/{sequence}/labels.parquet"
@@ -270,6 +307,10 @@ def sequence_files(entry: SequenceEntry) -> list[str]:
         paths += [clean_mask_path(entry.id, kind, frame) for kind in entry.kinds for frame in range(entry.frames)]
     if entry.visibility:
         paths.append(visibility_path(entry.id))
+    if entry.look:
+        paths.append(look_path(entry.id))
+    for kind, there in ((DEPTH_KIND, entry.depth), (LINKS_KIND, entry.links)):
+        paths += [truth_picture_path(entry.id, kind, frame) for frame in range(entry.frames if there else 0)]
     if entry.labels:
         paths.append(labels_path(entry.id))
     for name, view in entry.auxiliary.items():
@@ -277,6 +318,7 @@ def sequence_files(entry: SequenceEntry) -> list[str]:
         masks = [(kind, frame) for kind in view.kinds for frame in range(entry.frames)]
         paths.append(observations_path(folder))
         paths += [observed_path(folder, kind, frame) for kind, frame in masks]
+        paths += [observed_path(folder, IMAGE_KIND, frame) for frame in range(entry.frames if view.images else 0)]
         if entry.truth:
             paths.append(poses_path(folder))
             paths += [clean_mask_path(folder, kind, frame) for kind, frame in masks]

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
+from surgbench.camera import Camera
 from surgbench.contract import Mask, Observation, Scene, View, no_image
 from surgbench.dataset.masks import read_image
 from surgbench.geometry import FloatArray
@@ -103,9 +107,7 @@ class UnitData:
     def observation(self, frame: int, mask: Mask) -> Observation:
         """What a tracker may know of a frame; ``start`` is the engine's to fill in."""
         keypoints = _seen(self._keypoints, frame)
-        path = self.sequence.image_path(frame)
-        # Only the file's place: a bound method would carry the sequence, its readings and its truth along.
-        image = no_image if path is None else partial(read_image, path, self.camera.width, self.camera.height)
+        image = _image_at(self.sequence.image_path(frame), self.camera)
         joints = None
         if self._joints is not None and not np.isnan(self._joints[frame]).any():
             clipped = self._limits.clip(self._joints[frame])
@@ -129,7 +131,14 @@ class UnitData:
         if view is None:
             return ()
         keypoints = _seen([view.keypoints(kind, arm) for arm in self.unit.arms], frame)
-        return (View(view.camera, view.T_view_cam(kind)[frame], view.mask(kind, frame), keypoints=keypoints),)
+        image = _image_at(view.image_path(frame), view.camera)
+        T_view_cam = view.T_view_cam(kind)[frame]
+        return (View(view.camera, T_view_cam, view.mask(kind, frame), keypoints=keypoints, image=image),)
+
+
+def _image_at(path: Path | None, camera: Camera) -> Callable[[], NDArray[np.uint8] | None]:
+    """What reads an image. Of a file's place only: a bound method would carry the sequence and its truth along."""
+    return no_image if path is None else partial(read_image, path, camera.width, camera.height)
 
 
 def _seen(keypoints: list[FloatArray], frame: int) -> Tips:

@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 
 from surgbench.camera import Camera
+from surgbench.config import read_yaml
 from surgbench.dataset import tables
 from surgbench.dataset.integrity import check_files
 from surgbench.dataset.manifest import observations_path
-from surgbench.dataset.masks import decode_image, decode_mask, read_bytes
+from surgbench.dataset.masks import decode_image, decode_levels, decode_mask, read_bytes
 from surgbench.errors import DatasetError, SurgbenchError
 from surgbench.geometry import FloatArray
 from surgbench.state import ALPHA, BETA, GAMMA, JOINTS, POSITION, JointLimits
@@ -25,11 +26,14 @@ from surgbench.tasks.instrument.dataset import (
     visibility_columns,
 )
 from surgbench.tasks.instrument.format import (
+    DEPTH_KIND,
     IMAGE_KIND,
+    LINKS_KIND,
     Arm,
     AuxiliaryEntry,
     SequenceEntry,
     labels_path,
+    look_path,
     poses_path,
     sequence_files,
     states_path,
@@ -85,6 +89,11 @@ def validate(dataset: InstrumentDataset, progress: Callable[[float], None] = lam
             problems += _check_states(root, entry, limits)
         if entry.visibility and visibility_path(entry.id) in sound:
             problems += _check_visibility(root, entry)
+        if entry.look and look_path(entry.id) in sound:
+            try:
+                read_yaml(root / look_path(entry.id), "look")
+            except SurgbenchError as error:
+                problems.append(str(error))
         for name, view in entry.auxiliary.items():
             problems += _check_auxiliary(root, entry, name, view, manifest.cameras[view.camera], sound)
     return problems
@@ -95,11 +104,17 @@ def _check_picture(file: str, data: bytes, root: Path, cameras: dict[str, Camera
     parts = PurePosixPath(file).parts
     if not file.endswith(".png"):
         return None
-    # sequences/<folder>/observed/<kind>/<frame>.png, where a view's folder has slashes
-    camera = cameras["/".join(parts[1:-3])]
-    decode = decode_image if parts[-2] == IMAGE_KIND else decode_mask
+    name, kind = str(root / file), parts[-2]
     try:
-        decode(data, str(root / file), camera.width, camera.height)
+        if kind in (DEPTH_KIND, LINKS_KIND):
+            # truth/<id>/<kind>/<frame>.png
+            camera = cameras["/".join(parts[1:-2])]
+            decode_levels(data, name, camera.width, camera.height, np.uint16 if kind == DEPTH_KIND else np.uint8)
+            return None
+        # sequences/<folder>/observed/<kind>/<frame>.png, where a view's folder has slashes
+        camera = cameras["/".join(parts[1:-3])]
+        decode = decode_image if kind == IMAGE_KIND else decode_mask
+        decode(data, name, camera.width, camera.height)
     except DatasetError as error:
         return str(error)
     return None
