@@ -5,9 +5,10 @@
     surgbench run --dataset data/occlusion-long --arms single --tracker hybrid --sequences 12 --out runs/alone
     python benchmarks/overlaps.py data/occlusion-long runs/pairs --alone runs/alone [--least 60]
 
-An overlap is a stretch of frames in which at most a tenth of an arm's wrist and jaws is seen, at least so long, and
-with frames before and after it in which both arms are seen. The other arm's error meanwhile is held against the same
-arm's in the same frames when it is tracked alone, with masks in which nothing hides it.
+An overlap is a stretch of frames, after the first, in which at most a tenth of an arm's wrist and jaws is seen, at
+least so long. Tracks are right afterwards by the rule of the column ``right_way_round``. The other arm's error
+meanwhile is held against the same arm's in the same frames when it is tracked alone, with masks in which nothing hides
+it.
 """
 
 from __future__ import annotations
@@ -55,23 +56,20 @@ class Overlaps:
         turned = _turned(dataset, sequence, frames.states)
         self.known.append(pair_metrics.hidden_known(errors, lost, hidden))
         self.doubted.append(pair_metrics.far_off_doubted(errors, sure, lost))
+        self.right += pair_metrics.right_way_round(turned, hidden, self.least).tolist()
         for arm in range(2):
-            self._overlaps(turned, errors[:, arm], hidden, arm)
+            self._recoveries(errors[:, arm], hidden[:, arm])
             own = alone.get(sequence.arms[arm])
             if own is not None:
                 other = hidden[:, 1 - arm] & ~hidden[:, arm]
                 both = errors[other, arm], np.asarray(own.errors["tip_error_m"])[: len(errors)][other]
                 self.pairs.append((f"{sequence.id}/{sequence.arms[arm]}", *both))
 
-    def _overlaps(self, turned: NDArray[np.bool_], errors: FloatArray, hidden: NDArray[np.bool_], arm: int) -> None:
-        either = hidden[:, 0] | hidden[:, 1]
-        for first, last in pair_metrics.stretches(hidden[:, arm]):
-            later = np.flatnonzero(~either[last:])[: pair_metrics.SETTLED_FRAMES]
-            if first == 0 or last - first < self.least or not len(later):
-                continue
-            self.right.append(float(not turned[last + later[-1]]))
-            good = np.flatnonzero(errors[last:] <= RECOVERED_M)
-            self.recovered.append(float(good[0] if len(good) else len(errors) - last))
+    def _recoveries(self, errors: FloatArray, hidden: NDArray[np.bool_]) -> None:
+        for first, last in pair_metrics.stretches(hidden):
+            if first > 0 and last < len(errors) and last - first >= self.least:
+                good = np.flatnonzero(errors[last:] <= RECOVERED_M)
+                self.recovered.append(float(good[0] if len(good) else len(errors) - last))
 
     def lines(self) -> list[str]:
         """What was found, for people."""
@@ -79,10 +77,10 @@ class Overlaps:
         known, doubted = (np.concatenate(values).ravel() for values in (self.known, self.doubted))
         hidden, far = np.isfinite(known).sum(), np.isfinite(doubted).sum()
         lines = [
-            f"overlaps of at least {self.least} frames: {len(self.right)}",
-            f"  right way round afterwards: {_share(np.array(self.right))}",
-            f"  frames until the tips are right again: median {np.median(waits):g}, "
-            f"90 % within {np.quantile(waits, 0.9):g}",
+            f"after overlaps of at least {self.least} frames: right way round {_share(np.array(self.right))} "
+            f"of {len(self.right)}",
+            f"frames until an arm's tips are right again: median {np.median(waits):g}, "
+            f"90 % within {np.quantile(waits, 0.9):g}, of {len(self.recovered)}",
             f"hidden arm lost or within 5 mm: {_share(known)} of {hidden} frames",
             f"tips more than 10 mm off: {far} frames, of which lost or doubted: {_share(doubted)}",
         ]

@@ -88,7 +88,7 @@ def swaps(exchanged: ArrayLike, counts: ArrayLike) -> int:
     return int(sum(last - first >= EXCHANGED_FRAMES for first, last in stretches(seen)))
 
 
-def right_way_round(exchanged: ArrayLike, away: ArrayLike) -> FloatArray:
+def right_way_round(exchanged: ArrayLike, away: ArrayLike, least: int = 1) -> FloatArray:
     """Of each stretch of frames in which an arm is hidden: 1 where the tracks come out of it right, else 0.
 
     What counts is the :data:`SETTLED_FRAMES`-th frame afterwards in which both arms are seen, or the last one before
@@ -98,6 +98,7 @@ def right_way_round(exchanged: ArrayLike, away: ArrayLike) -> FloatArray:
     Args:
         exchanged: ``(T,)`` bool, from :func:`exchanged`.
         away: ``(T, 2)`` bool: an arm is hidden, or out of view.
+        least: Frames of the shortest stretch that counts.
 
     Returns:
         ``(stretches,)``.
@@ -116,7 +117,7 @@ def right_way_round(exchanged: ArrayLike, away: ArrayLike) -> FloatArray:
     found, away_in = [], stretches(gone)
     for place, (first, last) in enumerate(away_in):
         until = away_in[place + 1][0] if place + 1 < len(away_in) else len(gone)
-        if first > 0 and last < until:
+        if first > 0 and last < until and last - first >= least:
             found.append(not turned[min(last + SETTLED_FRAMES, until) - 1])
     return np.array(found, dtype=np.float64)
 

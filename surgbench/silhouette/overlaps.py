@@ -50,6 +50,7 @@ class PairScratch(NamedTuple):
     bounds: FloatArray  # (2, rows, columns, 2) of the tiles
     order: NDArray[np.int8]  # (rows, columns) the arm behind in each tile; -1 where that is not told, 2 with pixels
     wanted: NDArray[np.bool_]  # (H, W) pixels in question, else false
+    hidden: NDArray[np.int64]  # (2, 2) of one state: two threads may take the same one
     room: NDArray[np.int32]  # (H, W)
     corners: FloatArray  # (4, 3)
 
@@ -75,6 +76,7 @@ def pair_scratch(lens: Lens, layers: int) -> PairScratch:
         bounds=np.empty((2, *tiles, 2)),
         order=np.empty(tiles, np.int8),
         wanted=np.zeros((lens.height, lens.width), dtype=bool),
+        hidden=np.zeros((2, 2), np.int64),
         room=np.empty((lens.height, lens.width), np.int32),
         corners=np.empty((4, 3)),
     )
@@ -115,7 +117,7 @@ def score_pairs(
             if taken[s]:
                 continue
             taken[s] = True
-            hidden[:, :, s] = 0
+            pair.hidden[:] = 0
             for a in range(2):
                 own = states[s, 9 * a : 9 * (a + 1)]
                 layers = max(layers, _count_alone(own, arms[a], lens, scratch[a], prefixes[a], counts[a, :, s]))
@@ -125,7 +127,9 @@ def score_pairs(
             if box[0] < box[1] and box[2] < box[3]:
                 found, box = _find_overlap(box, lens.height, scratch, pair.overlap)
                 if found > 0:
-                    _take_off(pair.overlap[:found], box, arms, lens, scratch, pair, prefixes, hidden[:, :, s])
+                    _take_off(pair.overlap[:found], box, arms, lens, scratch, pair, prefixes, pair.hidden)
+            for a in range(2):
+                hidden[a, 0, s], hidden[a, 1, s] = pair.hidden[a, 0], pair.hidden[a, 1]
     return layers
 
 

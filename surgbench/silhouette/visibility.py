@@ -29,14 +29,14 @@ class _Arm:
     def __init__(self, instrument: Instrument, camera: Camera, near_m: float) -> None:
         self.evaluator = SilhouetteEvaluator([instrument], camera, near_m=near_m)
         self._links, self.bodies, self.mesh = assemble([instrument])
-        self._pose = np.empty((len(self._links.parent), 3, 4))
 
     def place(self, state: FloatArray, lens: Lens) -> tuple[FloatArray, FloatArray]:
         """All vertices in the camera frame, ``(V, 3)`` metres, and as seen, ``(V, 3)`` pixels and inverse depth."""
         points, seen = np.empty((2, len(self.mesh.x), 3))
-        place_links(np.ascontiguousarray(state), self._links, self._pose)
+        pose = np.empty((len(self._links.parent), 3, 4))
+        place_links(np.ascontiguousarray(state), self._links, pose)
         for b in range(len(self.bodies.link)):
-            place_body(b, self._pose, self.bodies, self.mesh, lens, points, seen)
+            place_body(b, pose, self.bodies, self.mesh, lens, points, seen)
         return points, seen
 
 

@@ -34,6 +34,10 @@ def initialise_each_arm(
     masks = mask_per_arm(observation.views[0], scene.arms)
     if masks is None:
         raise SurgbenchError("the arms overlap in the first mask: start from a frame where they are apart")
+    for name, mask in zip(("left", "right"), masks, strict=False):
+        if not mask.any():
+            empty = f"the {name} arm's own mask is empty in frame {observation.index}"
+            raise SurgbenchError(f"{empty}: start from a frame that shows both arms")
     states = []
     for arm, mask in enumerate(masks):
         view = replace(observation.views[0], mask=mask, keypoints=(observation.views[0].tips[arm],))

@@ -22,7 +22,8 @@ if TYPE_CHECKING:
 
 LEVELS_PNG = "levels.png"
 MEASURES: tuple[Column, ...] = (TIPS, SWAPS, RECOVERY)
-MARKERS = "os^Dv"
+LINES = tuple(zip((*COLOURS, "#009E73", "#000000"), "os^DvP*", strict=True))
+TICKS = (1.0, 3.0)  # of each decade of the errors that are labelled
 
 # Of a kind and a label: levels and, for each, a row.
 Curve = list[tuple[float, Row]]
@@ -61,7 +62,7 @@ def draw_levels(table: Table, rows: Sequence[Row], path: Path) -> bool:
 def _figure(found: dict[str, dict[str, Curve]]) -> Figure:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
-    from matplotlib.ticker import FuncFormatter
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     labels = list(dict.fromkeys(label for by_label in found.values() for label in by_label))
     measures = [measure for measure in MEASURES if _is_known(measure, found)]
@@ -77,8 +78,9 @@ def _figure(found: dict[str, dict[str, Curve]]) -> Figure:
                     for level, row in by_label.get(label, [])
                     if row.get(measure.key) is not None
                 ]
-                style = {"color": COLOURS[place % len(COLOURS)], "marker": MARKERS[place % len(MARKERS)]}
-                panel.plot(*zip(*points, strict=True), label=label, lw=1.3, ms=4, **style) if points else None
+                colour, marker = LINES[place % len(LINES)]
+                if points:
+                    panel.plot(*zip(*points, strict=True), label=label, color=colour, marker=marker, lw=1.3, ms=4)
             panel.grid(color="0.9", lw=0.6)
             panel.set_axisbelow(True)
             for side in ("top", "right"):
@@ -88,8 +90,10 @@ def _figure(found: dict[str, dict[str, Curve]]) -> Figure:
         grid[line, 0].set_ylabel(measure.heading)
         if measure is TIPS:
             grid[line, 0].set_yscale("log")
-            for axis in (grid[line, 0].yaxis.set_major_formatter, grid[line, 0].yaxis.set_minor_formatter):
-                axis(FuncFormatter(lambda value, _: f"{value:g}"))
+            axis = grid[line, 0].yaxis
+            axis.set_major_locator(LogLocator(subs=TICKS))
+            axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+            axis.set_minor_formatter(NullFormatter())
         else:
             grid[line, 0].set_ylim(bottom=0.0)
     handles, names = grid[0, 0].get_legend_handles_labels()
