@@ -258,7 +258,9 @@ def test_every_preset_loads() -> None:
     assert packaged_names("presets") == [
         "agile",
         *views,
+        "endoscope",
         "in-and-out",
+        "markers",
         "mini",
         "mismatch",
         "occlusion",

@@ -152,7 +152,7 @@ def test_masks_of_single_arms_bring_both_arms_nearer(camera: Camera, dual: Liter
     objective.observe(frame)
     before, after = objective.arms(np.stack([frame.start, estimate.state]))[1]
     assert (after > before).all()
-    assert np.all(estimate.confidence > 0.85)
+    assert (after > 0.85).all()
     assert not np.any(estimate.lost)
 
 
@@ -225,7 +225,7 @@ def test_the_arm_that_is_elsewhere_is_the_one_that_is_lost(camera: Camera, with_
         wrong = truth.copy()
         split_arms(wrong)[arm, 4] += 0.03
         fit = fit_of_arms(objective, wrong)
-        assert fit.confidence[arm] <= fit.overlap[arm] < 0.5 < fit.confidence[1 - arm]
+        assert fit.confidence[arm] <= fit.overlap[arm] < 0.5 < fit.overlap[1 - arm]
         assert not fit.hidden.any()
 
 
