@@ -9,9 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from surgbench.camera.change_of_view import ChangeOfView
 from surgbench.contract import Mask, Observation, Scene, View
@@ -19,6 +17,7 @@ from surgbench.geometry import FloatArray
 from surgbench.keypoints.found import FoundTips, Tips
 from surgbench.silhouette import KeypointProjector, SilhouetteEvaluator
 from surgbench.trackers.arm_masks import mask_per_arm
+from surgbench.trackers.registration.morphology import grown, opened
 from surgbench.trackers.registration.order import Order
 from surgbench.trackers.registration.part import PartView
 from surgbench.trackers.registration.screen import Screen
@@ -103,7 +102,7 @@ class Cutter:
             self.exchanged = self._mostly > 0
         if self.exchanged:
             masks = masks[::-1]
-        hides = [_grown(mask, MARGIN_PX) for mask in masks]
+        hides = [grown(mask, MARGIN_PX) for mask in masks]
         self._order.clear(hides, masks, silhouettes, own, lost)
         return [(masks[arm], hides[1 - arm]) for arm in range(2)]
 
@@ -128,7 +127,7 @@ def _told_apart(view: View) -> tuple[Mask, Mask] | None:
     masks = list(given)
     for arm in range(2):
         if not masks[arm].any():  # what is left may be it
-            masks[arm] = _without_specks(view.mask & ~_grown(masks[1 - arm], MARGIN_PX))
+            masks[arm] = opened(view.mask & ~grown(masks[1 - arm], MARGIN_PX), SPECK_PX)
     return masks[0], masks[1]
 
 
@@ -141,35 +140,13 @@ def _of_union(view: View, silhouettes: Sequence[Mask], lost: Sequence[bool]) -> 
     parts = []
     for arm in range(2):
         if lost[1 - arm]:  # nobody knows where it is
-            hidden = view.mask & ~_grown(silhouettes[arm], REACH_PX)
+            hidden = view.mask & ~grown(silhouettes[arm], REACH_PX)
             parts.append((view.mask, np.zeros_like(view.mask) if lost[arm] else hidden))
         else:
-            hidden = _grown(silhouettes[1 - arm], MARGIN_PX)
+            hidden = grown(silhouettes[1 - arm], MARGIN_PX)
             mask = view.mask & ~hidden
-            parts.append((_without_specks(mask) if lost[arm] else mask, hidden))
+            parts.append((opened(mask, SPECK_PX) if lost[arm] else mask, hidden))
     return parts
-
-
-def _around(mask: Mask, by_px: int) -> tuple[slice, slice] | None:
-    """Rows and columns where a mask is, and around it; ``None`` for an empty one."""
-    left, top, width, height = cv2.boundingRect(mask.view(np.uint8))
-    if not width:
-        return None
-    return slice(max(top - by_px, 0), top + height + by_px), slice(max(left - by_px, 0), left + width + by_px)
-
-
-def _grown(mask: Mask, by_px: int) -> Mask:
-    square = np.ones((2 * by_px + 1, 2 * by_px + 1), np.uint8)
-    around = _around(mask, by_px)
-    grown: NDArray[np.bool_] = np.zeros_like(mask)
-    if around is not None:
-        grown[around] = cv2.dilate(np.ascontiguousarray(mask[around]).view(np.uint8), square).view(np.bool_)
-    return grown
-
-
-def _without_specks(mask: Mask) -> Mask:
-    square = np.ones((SPECK_PX, SPECK_PX), np.uint8)
-    return np.asarray(cv2.morphologyEx(mask.view(np.uint8), cv2.MORPH_OPEN, square)).view(np.bool_)
 
 
 def part_of(observation: Observation, arm: int, views: Sequence[PartView]) -> Observation:

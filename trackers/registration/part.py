@@ -7,13 +7,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surgbench.camera.change_of_view import ChangeOfView
 from surgbench.compiled import compiled
 from surgbench.contract import Mask, Scene, View
 from surgbench.geometry import FloatArray
 from surgbench.keypoints.found import FoundTips
 from surgbench.objective import LossWeights, Objective, ViewLoss
-from surgbench.silhouette import ContourPoints, Reference
+from surgbench.silhouette import ContourPoints
 from surgbench.silhouette.evaluator import RowSums
 from surgbench.trackers.registration.edges import HIDDEN
 
@@ -63,28 +62,26 @@ class PartLoss(ViewLoss):
     """The terms of one arm's part of a view. What may be hidden counts neither way."""
 
     def observe(self, view: View) -> None:
-        """Take the frame that the next calls score against; most frames of an arm that is followed score nothing."""
-        self._view, self._reference = view, None
-        self.change = ChangeOfView(view.T_view_cam)
+        """Take the frame that the next calls score against."""
+        super().observe(view)
+        self._hidden = view.hidden if isinstance(view, PartView) and view.hidden.any() else None
+        self._rows: RowSums | None = None
 
     @property
-    def reference(self) -> Reference:
-        """As of any view, prepared when first asked for."""
-        if self._reference is None and self._view is not None:
-            view = self._view
-            hides = isinstance(view, PartView) and bool(view.hidden.any())
-            self._known = RowSums(~view.hidden) if hides and isinstance(view, PartView) else None
-            self._reference = Reference(view.mask)
-        reference: Reference = super().reference
-        return reference
+    def _known(self) -> RowSums | None:
+        """Where nothing is hidden, summed when first asked for; ``None`` where that is everywhere."""
+        if self._rows is None and self._hidden is not None:
+            self._rows = RowSums(~self._hidden)
+        return self._rows
 
     def mismatch(self, states: FloatArray) -> tuple[FloatArray, NDArray[np.int64], NDArray[np.int64]]:
         """Eq. 6 of ``(n, 9)`` states where nothing is hidden, pixels; what they cover there, and of the mask."""
         observed = self.reference.area
-        if self._known is None:
+        known = self._known
+        if known is None:
             return super().mismatch(states)
         own = self.change.states(states)
-        _, area = self.evaluator.sum_over(own, self._known)
+        _, area = self.evaluator.sum_over(own, known)
         _, overlap = self.evaluator.sum_over(own, self.reference)
         loss = area + observed - 2 * overlap + self.appearance * np.abs(area - observed)
         return np.asarray(loss, dtype=np.float64), area, overlap

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 
 from surgbench.contract import Mask
+from surgbench.trackers.registration.morphology import grown, opened
 
 PIECE_PX = 9  # smallest side: what a prediction is off by is narrower
 FEW_PIXELS = 150
@@ -44,9 +45,7 @@ class Screen:
         self._stands = piece is not None
         if piece is None:
             return hidden
-        square = np.ones((2 * MARGIN_PX + 1, 2 * MARGIN_PX + 1), np.uint8)
-        grown = cv2.dilate(piece.view(np.uint8), square).view(np.bool_)
-        return np.asarray(hidden | grown)
+        return np.asarray(hidden | grown(piece, MARGIN_PX))
 
 
 def missing_piece(silhouette: Mask, mask: Mask, hidden: Mask, both: Mask) -> Mask | None:
@@ -54,16 +53,11 @@ def missing_piece(silhouette: Mask, mask: Mask, hidden: Mask, both: Mask) -> Mas
     gone = silhouette & ~both & ~hidden
     if np.count_nonzero(gone) < FEW_PIXELS:
         return None
-    piece = _opened(gone, PIECE_PX)
+    piece = opened(gone, PIECE_PX)
     missing = np.count_nonzero(piece)
-    elsewhere = np.count_nonzero(_opened(mask & ~silhouette & ~hidden, SPECK_PX))
+    elsewhere = np.count_nonzero(opened(mask & ~silhouette & ~hidden, SPECK_PX))
     if missing < FEW_PIXELS or elsewhere > ELSEWHERE * missing:
         return None
     # With what hangs together with it, such as the ends of jaws, but for slivers along a shaft.
-    _, parts = cv2.connectedComponents(_opened(gone, SLIVER_PX).view(np.uint8))
+    _, parts = cv2.connectedComponents(opened(gone, SLIVER_PX).view(np.uint8))
     return np.isin(parts, np.unique(parts[piece]))
-
-
-def _opened(mask: Mask, side_px: int) -> Mask:
-    square = np.ones((side_px, side_px), np.uint8)
-    return np.asarray(cv2.morphologyEx(mask.view(np.uint8), cv2.MORPH_OPEN, square)).view(np.bool_)

@@ -92,23 +92,22 @@ def exchanged_readings(data: UnitData, states: FloatArray, lost: NDArray[np.bool
         states: ``(T, arms, 9)`` estimates.
         lost: ``(T, arms)``; these say nothing.
     """
-    readings = [data.sequence.readings(arm) for arm in data.unit.arms]
-    if data.truth is not None or len(readings) != 2:
+    if data.truth is not None or len(data.unit.arms) != 2:
+        return None
+    readings = [own for own in map(data.sequence.readings, data.unit.arms) if own is not None]
+    if len(readings) != 2:
         return None
 
     def off(order: tuple[int, int]) -> float:
         errors = []
         for place, (instrument, other) in enumerate(zip(data.instruments, order, strict=True)):
             own, read = ~lost[:, place], readings[other]
-            assert read is not None
             joints = (states[own, place], read[: len(states)][own])
             errors.append(reference_joint_errors(*joints, instrument.search_limits, instrument.observed)[:, :2].ravel())
         known = np.concatenate(errors)
         known = known[np.isfinite(known)]
         return float(known.mean()) if known.size else 0.0
 
-    if any(one is None for one in readings):
-        return None
     straight, turned = off((0, 1)), off((1, 0))
     if straight < OFF_RAD or turned > EXCHANGED_READINGS_SHARE * straight:
         return None
