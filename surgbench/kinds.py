@@ -71,5 +71,12 @@ _TABLE = (
         "surgbench.keypoints",
         "surgbench.contract:KeypointSource",
     ),
+    Kind(
+        "mask_source",
+        "masks",
+        "surgbench.trackers.masks",
+        "surgbench.masks",
+        "surgbench.mask_sources:MaskSource",
+    ),
 )
 KINDS = {kind.name: kind for kind in _TABLE}

@@ -1,0 +1,1 @@
+"""Where trackers' masks come from: the dataset, or its images."""
