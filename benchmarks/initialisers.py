@@ -64,7 +64,7 @@ def main() -> int:
                 dataset = open_as(InstrumentDataset, path)
                 for unit in dataset.units("single"):
                     data = UnitData(dataset, unit, readings)
-                    frame = hide(data.observation(0, data.sequence.mask(unit.kind, 0)))
+                    frame = hide(data.observation(0))
                     rng = generator(benchmark="initialisers", dataset=dataset.hash, unit=unit.id)
                     begin = time.process_time()
                     search = create(find("initialiser", name), settings)

@@ -106,7 +106,7 @@ def keypoints(dataset: InstrumentDataset, name: str) -> None:
         marks = data.sequence.keypoints(unit.arms[0])
         source.reset(data.scene())
         for frame in range(data.frames):
-            observation = data.observation(frame, data.sequence.mask(unit.kind, frame))
+            observation = data.observation(frame)
             (tips,) = source.detect(observation, observation.views[0])
             pair = tips if tips is not None and len(tips) == BOTH else None
             frames += 1

@@ -92,10 +92,10 @@ class Timing(NamedTuple):
 
 def run(job: Job, dataset: InstrumentDataset, told: str, load: int, frames: int) -> Timing:
     data = unit_data(job, dataset)
-    observations = [data.observation(k, data.sequence.mask(data.unit.kind, k)) for k in range(frames)]
+    observations = [data.observation(k) for k in range(frames)]
     frame_ms, reference_ms = [], []
     with Child(TIMEOUT_S, WORKER, TOLD[told]) as child, Child(TIMEOUT_S, WORKER) as reference:
-        child.send("setup", child_setup(job, data.scene()))
+        child.send("setup", child_setup(job, data))
         child.receive()
         truth = None if data.truth is None else data.truth[0].reshape(-1)
         child.send("first", observations[0], truth, true_states(job, data))

@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from surgbench.alike import choose_seen_alike
 from surgbench.geometry import FloatArray, look_at_rotation, rotation_angle, wrap_angle
@@ -176,6 +176,19 @@ def keypoint_error(estimate_px: FloatArray, true_px: FloatArray) -> FloatArray:
     crossed = np.linalg.norm(estimate[..., ::-1, :] - true, axis=-1).sum(axis=-1)
     better: FloatArray = np.minimum(straight, crossed)
     return better
+
+
+def masks_apart(one: NDArray[np.bool_], other: NDArray[np.bool_]) -> float:
+    """``1 - IoU`` of two masks, ``(height, width)`` bool each; 0 where both are empty.
+
+    Example:
+        >>> import numpy as np
+        >>> from surgbench.metrics import masks_apart
+        >>> masks_apart(np.array([[True, True, False]]), np.array([[False, True, False]]))
+        0.5
+    """
+    counts = (np.count_nonzero(mask) for mask in (one, other, one & other))
+    return float(mask_error(*counts))
 
 
 def mask_error(area_estimate: ArrayLike, area_reference: ArrayLike, overlap: ArrayLike) -> FloatArray:

@@ -6,10 +6,11 @@ from collections.abc import Collection
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from surgbench.camera import Camera
 from surgbench.dataset.manifest import observations_path
-from surgbench.dataset.masks import Mask, encode_mask
+from surgbench.dataset.masks import Mask, encode_image, encode_mask
 from surgbench.dataset.open import open_as
 from surgbench.dataset.tables import encode_table
 from surgbench.files import sha256_file
@@ -19,6 +20,7 @@ from surgbench.silhouette import SilhouetteEvaluator
 from surgbench.tasks.instrument.dataset import InstrumentDataset
 from surgbench.tasks.instrument.format import (
     ARMS,
+    IMAGE_KIND,
     InstrumentManifest,
     MaskKind,
     SequenceEntry,
@@ -53,6 +55,14 @@ def states_of(arm: str, frames: int = FRAMES, sequence: int = 0) -> FloatArray:
     return states
 
 
+def paint(mask: Mask) -> NDArray[np.uint8]:
+    """White instruments on dark red, ``(height, width, 3)`` RGB."""
+    picture = np.zeros((*mask.shape, 3), np.uint8)
+    picture[..., 0] = 60
+    picture[mask] = 220
+    return picture
+
+
 def make_pair(
     root: Path,
     *,
@@ -63,12 +73,13 @@ def make_pair(
     visible: tuple[MaskKind, ...] = (),
     hidden: Collection[int] | None = None,
     steps: tuple[int, ...] | None = None,
+    images: bool = False,
 ) -> InstrumentDataset:
     """Pairs whose masks are the silhouettes of their states, uncorrupted, with tips and readings.
 
     The left arm is taken to be in front in masks of what is ``visible``. In frames that are ``hidden`` so are the right
     arm's wrist and jaws, by the table of visibility alone. Frames follow one another, or are those of ``steps``, with
-    gaps between them.
+    gaps between them. Images, where they are wanted, show both arms (:func:`paint`).
     """
     driver = load_instrument(DRIVER)
     save_instrument(driver, root / f"instruments/{DRIVER}")
@@ -86,6 +97,8 @@ def make_pair(
                 _put(root / observed_path(id_, kind, frame), encode_mask(mask))
                 if truth:
                     _put(root / clean_mask_path(id_, kind, frame), encode_mask(mask))
+            if images:
+                _put(root / observed_path(id_, IMAGE_KIND, frame), encode_image(paint(masks["both"])))
         columns: dict[str, FloatArray] = {"timestamp_s": DT_S * np.array(steps or range(frames), dtype=np.float64)}
         for arm in ARMS:
             tips = CAMERA.project(driver.tips_cam(states[arm])).reshape(-1, 4)
@@ -114,6 +127,7 @@ def make_pair(
                 keypoints=True,
                 readings=True,
                 truth=truth,
+                images=images,
                 visibility=hidden is not None,
             )
         )

@@ -52,5 +52,6 @@ def _llvm_version(drjit: Any) -> tuple[int, ...] | None:
 def use(variant: str) -> Any:
     """Mitsuba with this variant set."""
     mi = load_mitsuba()
-    mi.set_variant(variant)
+    if mi.variant() != variant:  # setting it, even again, has its Python modules compiled anew: 0.1 s
+        mi.set_variant(variant)
     return mi

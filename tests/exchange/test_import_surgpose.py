@@ -112,7 +112,7 @@ def test_the_other_eye_is_an_auxiliary_view(source: Path, tmp_path: Path) -> Non
     assert np.array_equal(view.mask("both", 0), view.mask("left", 0) | view.mask("right", 0))
     np.testing.assert_allclose(view.T_view_cam("both")[2][:3, 3], [-0.0055, 0.0001, 0.0])
     np.testing.assert_allclose(2 * view.keypoints("both", "left")[0, 0] + 0.5, point_of(11, 1, "right"))
-    given = UnitData(dataset, dataset.units()[0], "none", view="right-eye").observation(0, sequence.mask("left", 0))
+    given = UnitData(dataset, dataset.units()[0], "none", view="right-eye").observation(0)
     assert np.array_equal(given.views[1].mask, view.mask("left", 0))
     other = ("--eye", "right", "--masks", tmp_path / "right", "--other-masks", tmp_path / "left")
     swapped = imported("surgpose", source, *options, *other, out=tmp_path / "swapped").sequences[0]

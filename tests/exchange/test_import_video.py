@@ -34,7 +34,7 @@ def test_frames_become_images_at_their_times(source: Path, tmp_path: Path, capsy
         assert brightness(sequence.image(frame)) == pytest.approx(20 + 10 * frame, abs=2)
     capsys.readouterr()
     surgbench("run", "--dataset", tmp_path / "data", "--tracker", "hybrid", "--out", tmp_path / "runs", expect=2)
-    assert "has no masks, which trackers work on; import the recording again with --masks" in capsys.readouterr().err
+    assert "has no masks; import it again with --masks, or have them made from its images" in capsys.readouterr().err
 
 
 def test_a_video_of_masks_beside_it(source: Path, tmp_path: Path) -> None:

@@ -201,7 +201,7 @@ def test_a_dataset_with_images_is_sound_and_reaches_trackers(tiny: InstrumentDat
     assert image is not None
     assert image.shape == (SMALL.height, SMALL.width, 3)
     unit = tiny.units("dual")[0]
-    views = UnitData(tiny, unit, "none", EYE).observation(1, sequence.mask("both", 1)).views
+    views = UnitData(tiny, unit, "none", EYE).observation(1).views
     shown = [view.image() for view in views]
     assert shown[0] is not None
     assert shown[1] is not None

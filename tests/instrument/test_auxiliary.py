@@ -226,7 +226,7 @@ def test_trackers_are_shown_the_reported_pose_and_not_the_true_one(made: Path) -
     view = sequence.auxiliary("gaze")
     assert [one.camera for one in data.scene().views] == [SMALL, SIDE]
     for frame in range(2):
-        seen = data.observation(frame, sequence.mask("right", frame)).views
+        seen = data.observation(frame).views
         assert len(seen) == 2
         np.testing.assert_array_equal(seen[1].T_view_cam, view.T_view_cam("right")[frame])
         np.testing.assert_array_equal(seen[1].mask, view.mask("right", frame))
@@ -270,7 +270,7 @@ def test_a_second_view_that_shows_nothing_harms_nobody(made: Path) -> None:
     data = UnitData(dataset, dataset.units("single")[0], "none", "gaze")
     assert data.truth is not None
     state = data.truth[0, 0]
-    observation = data.observation(0, data.sequence.mask(data.unit.kind, 0))
+    observation = data.observation(0)
     behind = np.diag([1.0, -1.0, -1.0, 1.0])
     behind[2, 3] = -1.0
     lost = replace(observation.views[1], T_view_cam=behind, mask=np.zeros((96, 128), dtype=bool), keypoints=(None,))

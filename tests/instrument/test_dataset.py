@@ -115,7 +115,7 @@ def test_a_dataset_from_before_there_were_kinematics_is_read(root: Path) -> None
     assert sequence.T_cam_base("left") is None
     data = UnitData(dataset, dataset.units("dual")[0], "noisy")
     assert data.scene().T_cam_base is None
-    assert data.observation(0, sequence.mask("both", 0)).kinematics is None
+    assert data.observation(0).kinematics is None
 
 
 @pytest.mark.parametrize("readings", ["noisy", "true"])
@@ -128,9 +128,8 @@ def test_kinematics_come_with_readings(root: Path, readings: Readings) -> None:
     edit_table(root, OBSERVATIONS, lose)
     dataset = open_as(InstrumentDataset, root)
     sequence, unit = dataset.sequence("000"), dataset.units("dual")[0]
-    mask = sequence.mask("both", 0)
     data = UnitData(dataset, unit, readings)
-    scene, seen = data.scene(), data.observation(0, mask).kinematics
+    scene, seen = data.scene(), data.observation(0).kinematics
     assert scene.T_cam_base is not None
     assert scene.T_cam_base.shape == (2, 4, 4)
     assert seen is not None
@@ -139,9 +138,9 @@ def test_kinematics_come_with_readings(root: Path, readings: Readings) -> None:
         poses = sequence.kinematics(arm)
         assert poses is not None
         np.testing.assert_array_equal(seen[index], poses[0])
-    assert data.observation(1, mask).kinematics is None
-    assert UnitData(dataset, unit, "none").observation(0, mask).kinematics is None
-    alone = UnitData(dataset, dataset.units("single")[1], readings).observation(1, mask).kinematics
+    assert data.observation(1).kinematics is None
+    assert UnitData(dataset, unit, "none").observation(0).kinematics is None
+    alone = UnitData(dataset, dataset.units("single")[1], readings).observation(1).kinematics
     assert alone is not None
     assert alone.shape == (1, 4, 4)
 

@@ -25,7 +25,7 @@ from surgbench.report.rows import read_rows
 from surgbench.silhouette import Reference, SilhouetteEvaluator
 from surgbench.state import JOINTS, twin
 from surgbench.tasks.instrument.dataset import InstrumentDataset
-from surgbench.tasks.instrument.execute import _errors, _mask_errors
+from surgbench.tasks.instrument.execute import _errors, _mask_errors, out_of_view
 from surgbench.tasks.instrument.records import (
     ABSENT,
     REFERENCE_ERRORS,
@@ -85,6 +85,7 @@ def errors_of(data: UnitData, answers: list[Answer]) -> dict[str, Any]:
         answers,
         [_mask_errors(evaluator, one.state, mask, None) for one, mask in zip(answers, masks, strict=True)],
         None,
+        out_of_view(data, len(answers)),
     )
 
 

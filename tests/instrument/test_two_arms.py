@@ -42,15 +42,15 @@ def test_instance_masks_reach_a_tracker_as_they_lie_in_the_dataset(tmp_path: Pat
     dataset = make_pair(tmp_path, sequences=1, visible=BOTH)
     unit = dataset.units("dual")[0]
     mask = dataset.sequence("000").mask("both", 1)
-    view = UnitData(dataset, unit, "none", masks="instances").observation(1, mask).views[0]
+    view = UnitData(dataset, unit, "none", masks="instances").observation(1).views[0]
     sent = pickle.dumps(view)
     there = pickle.loads(sent)
     assert len(sent) < mask.size  # as bits
     assert [np.array_equal(one, two) for one, two in zip(view.instance_masks or (), there.instance_masks, strict=True)]
     assert np.array_equal(there.instance_masks[1], dataset.sequence("000").mask("visible_right", 1))
-    assert UnitData(dataset, unit, "none").observation(1, mask).views[0].instance_masks is None
+    assert UnitData(dataset, unit, "none").observation(1).views[0].instance_masks is None
     alone = UnitData(dataset, dataset.units("single")[0], "none", masks="instances")
-    assert alone.observation(1, mask).views[0].instance_masks is None
+    assert alone.observation(1).views[0].instance_masks is None
 
 
 def test_the_arms_of_a_recording_are_instances(tmp_path: Path) -> None:

@@ -328,7 +328,7 @@ def test_the_device_is_part_of_the_settings_only_where_it_is_no_cpu(
     assert "device" not in on_cpu.variant
     for chosen, name in ((on_cpu, "cpu"), (on_gpu, "cuda")):
         job = jobs(chosen, data)[0]
-        assert child_setup(job, unit_data(job, data).scene()).scene.device == name
+        assert child_setup(job, unit_data(job, data)).scene.device == name
 
 
 @pytest.mark.parametrize("device", ["cuda"], indirect=True)

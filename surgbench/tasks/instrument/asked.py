@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import Field
@@ -11,6 +12,7 @@ from surgbench.suite.asked import RowRequest
 Readings = Literal["none", "noisy", "true"]
 Scored = Literal["raw", "filtered"]
 Masks = Literal["auto", "union", "instances"]
+OF_DATASET: tuple[Masks, ...] = ("auto", "union", "instances")
 
 
 class InstrumentRow(RowRequest):
@@ -25,8 +27,10 @@ class InstrumentRow(RowRequest):
             readings on data that holds tips ``observed``.
         readings: Which joint readings the tracker is given.
         view: Auxiliary view that the tracker is given besides the endoscope's.
-        masks: What trackers are shown of two arms: their union alone, or besides what shows of each arm. ``auto`` is
-            what there is in all of the dataset's pairs.
+        masks: Where the masks come from: a mask source by name; or the dataset's own, of two arms their ``union``
+            alone, or ``instances``, what shows of each arm, besides. ``auto`` is what there is in all of the dataset's
+            pairs.
+        prompts: A file with points in the first pictures, for mask sources (:mod:`surgbench.prompts`).
         scored: Which state is recorded and scored: the tracker's own, or what the filter makes of it.
     """
 
@@ -43,9 +47,21 @@ class InstrumentRow(RowRequest):
         str | None, Field(description="NAME: auxiliary view that trackers see besides the endoscope's.")
     ] = None
     masks: Annotated[
-        Masks,
-        Field(description="Of two arms: their mask alone, or one mask for each arm besides; auto: what is there."),
+        str,
+        Field(
+            description="NAME: mask source, which makes masks of images; or union, instances: of two arms the "
+            "dataset's mask of both alone, or one of each besides; default: auto, what is there."
+        ),
     ] = "auto"
+    prompts: Annotated[
+        Path | None,
+        Field(description="FILE: points on the instruments in the first pictures, for the mask source."),
+    ] = None
     scored: Annotated[
         Scored, Field(description="Which state is scored: the tracker's own, or what the filter makes of it.")
     ] = "raw"
+
+    @property
+    def mask_source(self) -> str | None:
+        """Reference of the mask source; ``None`` for the dataset's own masks."""
+        return None if self.masks in OF_DATASET else self.masks

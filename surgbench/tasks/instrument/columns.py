@@ -6,10 +6,11 @@ from dataclasses import replace
 
 from surgbench.metrics import INTERVAL_COVERAGES
 from surgbench.report.column import ROW, VARIANT, Column
-from surgbench.tasks.instrument.records import REFERENCE_JOINTS, REFERENCE_KEYPOINTS, REFERENCE_TIPS
+from surgbench.tasks.instrument.records import REFERENCE_JOINTS, REFERENCE_KEYPOINTS, REFERENCE_TIPS, SOURCE_ERROR
 
 MASK = Column("mask_error", "mask error", "", 3, short="mask\nerror", best=True)
 TRUE_MASK = Column("mask_error_true", "true mask error", "", 3, short="true\nmask", best=True, from_width=100)
+MADE_MASKS = Column(SOURCE_ERROR, "made masks off", "", 3, short="made\nmasks", best=True)
 ROTATION = Column("rotation_error_rad", "rotation", "rad", 3, short="rot.\nrad", best=True)
 TRANSLATION = Column("translation_error_m", "translation", "mm", 2, 1000.0, short="trans.\nmm", best=True)
 TIPS = Column("tip_error_m", "tips", "mm", 2, 1000.0, short="tips\nmm", best=True, from_width=100)
@@ -39,6 +40,7 @@ COLUMNS = (
     Column("coverage", "done", "%", 0, 100.0, short="done\n%"),
     MASK,
     TRUE_MASK,
+    MADE_MASKS,
     *HAND_EYE,
     ROTATION,
     TRANSLATION,

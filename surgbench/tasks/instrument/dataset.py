@@ -424,10 +424,12 @@ class InstrumentDataset(Dataset[InstrumentManifest]):
         units: list[InstrumentUnit] = []
         for sequence in self.sequences:
             entry = sequence.entry
-            if arms == "dual" and len(entry.arms) == 2 and "both" in entry.kinds:
+            # Of a video alone, masks can be made.
+            kinds = entry.kinds if entry.kinds or not entry.images else (*entry.arms, "both")
+            if arms == "dual" and len(entry.arms) == 2 and "both" in kinds:
                 units.append(InstrumentUnit(entry.id, entry.id, entry.arms, "both"))
             elif arms == "single":
-                alone = [arm for arm in entry.arms if arm in entry.kinds]
+                alone = [arm for arm in entry.arms if arm in kinds]
                 units += [
                     InstrumentUnit(entry.id if len(entry.arms) == 1 else f"{entry.id}-{arm}", entry.id, (arm,), arm)
                     for arm in alone
@@ -435,7 +437,7 @@ class InstrumentDataset(Dataset[InstrumentManifest]):
         if not units:
             if not any(sequence.entry.kinds for sequence in self.sequences):
                 raise DatasetError(
-                    f"{self.path}: has no masks, which trackers work on; import the recording again with --masks"
+                    f"{self.path}: has neither masks, which trackers work on, nor images to make them of"
                 )
             need = "two arms in one mask ('both')" if arms == "dual" else "a mask of one arm alone"
             other = "single" if arms == "dual" else "dual"

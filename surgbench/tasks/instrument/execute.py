@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -9,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surgbench import metrics
-from surgbench.contract import Mask, Observation, Scene
+from surgbench.contract import Mask, Observation
 from surgbench.geometry import FloatArray
 from surgbench.processes.child import Child, ChildProblemError
 from surgbench.silhouette import Reference, SilhouetteEvaluator
@@ -20,8 +21,9 @@ from surgbench.tasks.instrument.dataset import InstrumentDataset, InstrumentUnit
 from surgbench.tasks.instrument.judge import frames_that_count, judged_columns
 from surgbench.tasks.instrument.pairs import OwnMasks, exchanged_readings, hidden, pair_errors
 from surgbench.tasks.instrument.plan import InstrumentSettings
-from surgbench.tasks.instrument.records import ANSWER_COLUMNS, ARM_COLUMNS, SHARES
+from surgbench.tasks.instrument.records import ANSWER_COLUMNS, ARM_COLUMNS, SHARES, SOURCE_COLUMNS, SOURCE_ERROR
 from surgbench.tasks.instrument.references import absent_from_masks, reference_errors
+from surgbench.tasks.instrument.told_prompts import told
 from surgbench.tasks.instrument.units import UnitData
 from surgbench.tasks.instrument.worker import Answer, Setup, waiting
 from surgbench.timing import steps_s
@@ -39,12 +41,15 @@ def unit_data(job: Job, dataset: InstrumentDataset) -> UnitData:
     """The frames of a job's unit."""
     assert isinstance(job.unit, InstrumentUnit)
     settings = own_settings(job)
-    return UnitData(dataset, job.unit, settings.readings, settings.view, settings.masks)
+    source = settings.mask_source
+    true_masks = source is not None and source.needs_truth
+    return UnitData(dataset, job.unit, settings.readings, settings.view, settings.masks, true_masks=true_masks)
 
 
-def child_setup(job: Job, scene: Scene) -> Setup:
-    """What the child of a job is told before the first frame."""
+def child_setup(job: Job, data: UnitData, first: int = 0) -> Setup:
+    """What the child of a job is told before frame ``first``, with which tracking begins."""
     settings = own_settings(job)
+    source, scene = settings.mask_source, data.scene()
     # The dataset's name and not its hash, so that a part of it is run with the same random numbers.
     axes: dict[str, str | int] = {
         "seed": settings.conditions.seed,
@@ -65,6 +70,8 @@ def child_setup(job: Job, scene: Scene) -> Setup:
         own(settings.tracker),
         own(settings.initialiser),
         settings.scored,
+        source,
+        () if source is None else told(settings.prompts, data.sequence, data.unit.arms, first, settings.view),
     )
 
 
@@ -96,31 +103,37 @@ def execute(job: Job, dataset: InstrumentDataset, run: Run, *, waits: bool = Tru
     evaluator = SilhouetteEvaluator(data.instruments, data.camera)
     answers: list[Answer] = []
     mask_errors: list[tuple[float | None, float | None]] = []
+    source_errors: list[float | None] = []
+    shares: list[float] = []
     own_masks = OwnMasks.of(data)
     status, error, trace, initialise_s = "ok", None, None, None
     try:
         with run.child(WORKER, settings.conditions.timeout_s) as child:
-            child.send("setup", child_setup(job, data.scene()))
-            child.ready()
             first = _first_seen(data, job.frames) if waits else 0
+            child.send("setup", child_setup(job, data, first))
+            child.ready()
             run.advance(first)
             for frame in range(first, job.frames):
                 run.check()
-                mask = data.sequence.mask(data.unit.kind, frame)
-                observation = data.observation(frame, mask)
+                observation = data.observation(frame)
                 if frame == first:
                     initialise_s, state = _initialise(child, job, data, observation, run)
                     answers, mask_errors = [waiting(state)] * first, [(None, None)] * first
+                    source_errors, shares = [None] * first, [0.0] * first
                 child.send("step", observation)
                 clean = None if data.truth is None else data.sequence.clean_mask(data.unit.kind, frame)
                 answer: Answer = child.receive()[1]
                 answers.append(answer)
-                mask_errors.append(_mask_errors(evaluator, answer.state, mask, clean))
+                seen = observation.mask if answer.seen is None else answer.seen.mask
+                shares.append(float(seen.mean()))
+                mask_errors.append(_mask_errors(evaluator, answer.state, seen, clean))
+                source_errors.append(None if clean is None else metrics.masks_apart(seen, data.true_mask(frame)))
                 if own_masks is not None:
                     own_masks.measure(frame, answer.state)
                 run.advance(1)
     except ChildProblemError as problem:
         status, error, trace = problem.status, f"frame {len(answers)}: {problem}", problem.traceback
+    away = out_of_view(data, len(answers), shares)
     hint = (None if own_masks is None else own_masks.hint(data.unit.arms)) or exchanged_readings(
         data, _states(data, answers), lost_arms(answers, len(data.unit.arms))
     )
@@ -130,7 +143,9 @@ def execute(job: Job, dataset: InstrumentDataset, run: Run, *, waits: bool = Tru
         "traceback": trace,
         "initialise_s": initialise_s,
         "frames": _frames(answers),
-        "errors": _errors(data, answers, mask_errors, own_masks) | _judged(settings, data, answers, mask_errors),
+        "errors": _errors(data, answers, mask_errors, own_masks, away)
+        | _judged(settings, data, answers, mask_errors)
+        | ({} if settings.mask_source is None or data.truth is None else {SOURCE_ERROR: source_errors}),
         **({} if hint is None else {"hint": hint}),
     }
 
@@ -173,6 +188,7 @@ def _mask_errors(
 def _frames(answers: list[Answer]) -> dict[str, list[Any]]:
     columns: dict[str, list[Any]] = {"index": list(range(len(answers)))}
     names = [*ANSWER_COLUMNS, *(ARM_COLUMNS if answers and answers[0].lost_arms is not None else ())]
+    names += SOURCE_COLUMNS if any(answer.seen is not None for answer in answers) else ()
     for name in names:
         values = [getattr(answer, name) for answer in answers]
         columns[name] = [value.tolist() if isinstance(value, np.ndarray) else value for value in values]
@@ -184,6 +200,7 @@ def _errors(
     answers: list[Answer],
     mask_errors: list[tuple[float | None, float | None]],
     own_masks: OwnMasks | None,
+    away: NDArray[np.bool_],
 ) -> dict[str, list[Any] | None]:
     """Errors of all frames; ``None`` where there is no truth to hold them against."""
     errors: dict[str, list[Any] | None] = dict.fromkeys(
@@ -192,7 +209,6 @@ def _errors(
     shape = (len(answers), len(data.unit.arms), STATE_SIZE)
     states = _states(data, answers)
     starts = np.array([answer.start for answer in answers]).reshape(shape)
-    away = out_of_view(data, len(answers))
     lost = lost_arms(answers, shape[1])
     if own_masks is not None:
         errors |= {name: _finite(values) for name, values in own_masks.errors(away).items()}
@@ -263,12 +279,20 @@ def _judged(
     return judged_columns(data.sequence, data.unit.arms, states, counts, settings.readings, settings.references)
 
 
-def out_of_view(data: UnitData, frames: int) -> NDArray[np.bool_]:
+def out_of_view(data: UnitData, frames: int, shares: Sequence[float] = ()) -> NDArray[np.bool_]:
     """In which of a unit's first frames an arm is out of view, ``(frames, arms)``.
 
     That is by the silhouette of its true state, so that it is the same for an arm alone and in a pair, and whatever
     happens to masks; without truth, by the masks.
+
+    Args:
+        data: A unit.
+        frames: How many.
+        shares: Of the picture that the mask which the tracker saw takes in each frame: what there is to go by where a
+            recording has no masks of its own.
     """
+    if data.truth is None and not data.has_masks:
+        return np.repeat(np.array(shares)[:, None] < metrics.OUT_OF_VIEW_SHARE, len(data.unit.arms), axis=1)
     if data.truth is None:
         return absent_from_masks(data, frames)
     away = np.zeros((frames, len(data.unit.arms)), dtype=bool)

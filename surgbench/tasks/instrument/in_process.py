@@ -20,10 +20,10 @@ def answers(job: Job, dataset: InstrumentDataset) -> Iterator[Answer]:
         dataset: On what.
     """
     data = unit_data(job, dataset)
-    loop = Loop(child_setup(job, data.scene()))
     first = data.first_seen(job.frames)
+    loop = Loop(child_setup(job, data, first or 0))
     for frame in range(job.frames if first is None else first, job.frames):
-        observation = data.observation(frame, data.sequence.mask(data.unit.kind, frame))
+        observation = data.observation(frame)
         if frame == first:
             state = loop.initialise(observation, first_truth(job, data, first), lambda _: None)
             loop.begin(observation, state, true_states(job, data, first))

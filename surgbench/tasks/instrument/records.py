@@ -41,6 +41,10 @@ ANSWER_COLUMNS = (
 )  # fmt: skip
 # The same, of two arms: each arm's own.
 ARM_COLUMNS = ("confidence_arms", "lost_arms")
+# The same, where masks are made: what that took, and how sure the source was.
+SOURCE_COLUMNS = ("latency_masks_ms", "confidence_masks")
+# One minus the intersection over union of the made masks with what truly shows.
+SOURCE_ERROR = "mask_source_error"
 
 
 class InstrumentRecordSpec(RecordSpec):
@@ -56,6 +60,7 @@ class InstrumentRecordSpec(RecordSpec):
     view: str | None = None
     masks: str = "union"
     scored: str = "raw"
+    mask_source: Plug | None = None
 
 
 class InstrumentFrames(Frames):
@@ -77,6 +82,7 @@ class InstrumentFrames(Frames):
     latency_filter_ms: list[Number] = []
     confidence_arms: list[list[Number]] = []
     lost_arms: list[list[bool]] = []
+    confidence_masks: list[Number] = []
 
     @model_validator(mode="after")
     def _state_size(self) -> InstrumentFrames:
@@ -112,7 +118,7 @@ class InstrumentRecord(Record):
     whole: ClassVar[tuple[str, ...]] = (*PER_ARM, *JUDGED, *PAIR_COUNTS, RIGHT_WAY_ROUND)
     error_names: ClassVar[tuple[str, ...]] = (
         *(*POSE_ERRORS, "mask_error", "mask_error_true", *PER_ARM, *JUDGED, *SHARES),
-        *(*REFERENCE_ERRORS, ABSENT, *PAIR_COUNTS, *PAIR_ERRORS),
+        *(*REFERENCE_ERRORS, ABSENT, *PAIR_COUNTS, *PAIR_ERRORS, SOURCE_ERROR),
     )
 
     spec: InstrumentRecordSpec

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from surgbench.suite.settings import Job
 from surgbench.tasks.instrument.asked import InstrumentRow
 from surgbench.tasks.instrument.dataset import InstrumentDataset, InstrumentUnit
 from surgbench.tasks.instrument.execute import child_setup, true_states, unit_data
+from surgbench.tasks.instrument.plan import InstrumentSettings
 from surgbench.tasks.instrument.worker import Loop
 
 
@@ -39,18 +41,17 @@ def replay_traces(record: dict[str, Any], dataset: InstrumentDataset, frames: li
         raise SurgbenchError(f"{dataset.path}: not the dataset of the run '{spec['row_id']}' (another hash)")
     job = _job(record, dataset)
     data = unit_data(job, dataset)
-    setup = child_setup(job, data.scene())
-    loop = Loop(setup)
     last = min(max(frames, default=-1), len(recorded["index"]) - 1)
     first = data.first_seen(last + 1)
     if first is None:
         return {}  # no tracker was asked about these frames
-    beginning = data.observation(first, data.sequence.mask(data.unit.kind, first))
+    loop = Loop(child_setup(job, data, first))
+    beginning = data.observation(first)
     loop.begin(beginning, np.array(recorded["start"][first]), true_states(job, data, first))
     traces: dict[int, Trace] = {}
     for frame in range(first, last + 1):
         trace = Trace() if frame in frames else None
-        observation = data.observation(frame, data.sequence.mask(data.unit.kind, frame))
+        observation = data.observation(frame)
         answer = loop.step(observation, trace)
         if not np.array_equal(answer.state, recorded["state"][frame]):
             raise SurgbenchError(
@@ -65,7 +66,7 @@ def replay_traces(record: dict[str, Any], dataset: InstrumentDataset, frames: li
 def _job(record: dict[str, Any], dataset: InstrumentDataset) -> Job:
     """The job that a record's specification describes."""
     spec, references = record["spec"], record["references"]
-    plugs = [spec[kind] for kind in ("tracker", "initialiser", "filter", "keypoints")]
+    plugs = [spec[kind] for kind in ("tracker", "initialiser", "filter", "keypoints", "mask_source") if kind in spec]
     row = InstrumentRow(
         tracker=references["tracker"],
         row_id=spec["row_id"],
@@ -74,7 +75,7 @@ def _job(record: dict[str, Any], dataset: InstrumentDataset) -> Job:
         keypoints=references["keypoints"],
         readings=spec["readings"],
         view=spec.get("view"),
-        masks=spec.get("masks", "union"),
+        masks=references.get("mask_source", spec.get("masks", "union")),
         scored=spec.get("scored", "raw"),
         options={plug["name"]: plug["options"] for plug in plugs if plug["options"]},
         frames=spec.get("frames_limit"),
@@ -84,4 +85,8 @@ def _job(record: dict[str, Any], dataset: InstrumentDataset) -> Job:
     )
     unit = InstrumentUnit(spec["unit"], spec["sequence"], tuple(spec["arms"]), spec["mask_kind"])
     frames, everything = record["unit_frames"], record.get("dataset_frames", 0)
-    return Job(complete(row, conditions, dataset), dataset.name, dataset.hash, unit, frames, everything, spec["repeat"])
+    settings = complete(row, conditions, dataset)
+    if "prompts" in spec:
+        assert isinstance(settings, InstrumentSettings)
+        settings = replace(settings, prompts=spec["prompts"])
+    return Job(settings, dataset.name, dataset.hash, unit, frames, everything, spec["repeat"])

@@ -16,6 +16,7 @@ from surgbench.tasks.instrument.records import (
     PER_ARM,
     REFERENCE_ERRORS,
     SHARES,
+    SOURCE_ERROR,
     InstrumentRecord,
 )
 
@@ -48,7 +49,10 @@ RECORDING_COLUMNS = (
     *number(*(f"{error}{suffix}" for error in REFERENCE_ERRORS for suffix in ("", "_std", "_sem"))),
 )
 
-FURTHER_COLUMNS = (*RECORDING_COLUMNS, *number(*JUDGED), *PAIR_COLUMNS)
+# Of rows alone whose masks were made.
+SOURCE_COLUMNS = (*text("mask_source"), *number(*(f"{SOURCE_ERROR}{suffix}" for suffix in ("", "_std", "_sem"))))
+
+FURTHER_COLUMNS = (*RECORDING_COLUMNS, *number(*JUDGED), *PAIR_COLUMNS, *SOURCE_COLUMNS)
 
 
 def instrument_row(head: Row, records: list[InstrumentRecord]) -> Row:
@@ -79,9 +83,10 @@ def instrument_row(head: Row, records: list[InstrumentRecord]) -> Row:
     }
     if len(spec.arms) > 1:
         row |= {"masks": spec.masks} | _pair_columns(records)
+    if spec.mask_source is not None:
+        row |= {"mask_source": spec.mask_source.name} | _spread(records, SOURCE_ERROR)
     for error in ERRORS:
-        summary = summarise(_by_sequence(records, error))
-        row |= {error: summary.mean, f"{error}_std": summary.std, f"{error}_sem": summary.sem}
+        row |= _spread(records, error)
     row |= {name: summarise(_by_sequence(records, name)).mean for name in PER_ARM}
     row["lost_frames"] = sum(sum(record.frames.lost) for record in records)
     row |= {name: summarise(_by_sequence(records, name)).mean for name in SHARES}
@@ -111,9 +116,13 @@ def _recording_columns(records: list[InstrumentRecord]) -> Row:
     absent = [record.errors[ABSENT] for record in records if ABSENT in record.errors]
     row: Row = {"absent_frames": int(sum(values.sum() for values in absent))}
     for error in REFERENCE_ERRORS:
-        summary = summarise(_by_sequence(records, error))
-        row |= {error: summary.mean, f"{error}_std": summary.std, f"{error}_sem": summary.sem}
+        row |= _spread(records, error)
     return row
+
+
+def _spread(records: list[InstrumentRecord], error: str) -> Row:
+    summary = summarise(_by_sequence(records, error))
+    return {error: summary.mean, f"{error}_std": summary.std, f"{error}_sem": summary.sem}
 
 
 def _by_sequence(records: list[InstrumentRecord], error: str) -> list[list[FloatArray]]:

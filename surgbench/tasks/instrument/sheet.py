@@ -26,6 +26,7 @@ from surgbench.tasks.instrument.records import (
     PER_ARM,
     REFERENCE_ERRORS,
     SHARES,
+    SOURCE_ERROR,
     InstrumentRecord,
 )
 from surgbench.tasks.instrument.rows import ERRORS, FURTHER_COLUMNS, INSTRUMENT_COLUMNS
@@ -93,6 +94,6 @@ INSTRUMENT_SHEET = Sheet(
     measures=PUBLISHED,
     instead=IN_RECORDINGS,
     further_columns=FURTHER_COLUMNS,
-    further_errors=(*REFERENCE_ERRORS, *JUDGED, *PAIR_ERRORS),
+    further_errors=(*REFERENCE_ERRORS, *JUDGED, *PAIR_ERRORS, SOURCE_ERROR),
     further_counts=(ABSENT_FRAMES.key, *PAIR_COUNTS),
 )

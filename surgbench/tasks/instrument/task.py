@@ -40,10 +40,12 @@ class InstrumentTask(Task):
             "dataset",
             "execute",
             "judge",
+            "made_masks",
             "pairs",
             "references",
             "tables",
             "tips",
+            "told_prompts",
             "units",
             "worker",
         ]

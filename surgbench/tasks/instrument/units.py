@@ -30,6 +30,7 @@ class UnitData:
         readings: Which joint readings observations hold.
         view: Auxiliary view that observations hold besides the endoscope's.
         masks: Whether the endoscope's view holds, of a pair, ``instances`` besides the union.
+        true_masks: Views hold the true masks, of what shows.
     """
 
     def __init__(
@@ -39,8 +40,11 @@ class UnitData:
         readings: Readings,
         view: str | None = None,
         masks: Masks = "union",
+        *,
+        true_masks: bool = False,
     ) -> None:
         self.unit = unit
+        self._true_masks = true_masks
         self.sequence: Sequence = dataset.sequence(unit.sequence)
         self.camera = self.sequence.camera
         self.instruments: tuple[Instrument, ...] = tuple(
@@ -76,13 +80,38 @@ class UnitData:
     def first_seen(self, frames: int) -> int | None:
         """The first of so many frames in whose mask an instrument shows, where tracking begins; ``None``: in none.
 
+        Without masks it is the first.
+
         What counts is the mask that trackers see: fewer pixels than :data:`surgbench.metrics.OUT_OF_VIEW_SHARE` of all
         are nothing to start from.
         """
+        if not self.has_masks:
+            return 0 if frames else None
         for frame in range(frames):
-            if self.sequence.mask(self.unit.kind, frame).mean() >= OUT_OF_VIEW_SHARE:
+            if self.mask(frame).mean() >= OUT_OF_VIEW_SHARE:
                 return frame
         return None
+
+    @property
+    def has_masks(self) -> bool:
+        """Whether the dataset has masks of the unit; a video alone has none."""
+        return self.unit.kind in self.sequence.entry.kinds
+
+    def mask(self, frame: int) -> Mask:
+        """The dataset's mask of a frame, or the true one where views hold that; empty where there are none."""
+        if not self.has_masks:
+            return np.zeros((self.camera.height, self.camera.width), dtype=bool)
+        return self.true_mask(frame) if self._true_masks else self.sequence.mask(self.unit.kind, frame)
+
+    def true_mask(self, frame: int) -> Mask:
+        """What truly shows of the unit's arms in a frame: of one arm of a pair without what the other one hides.
+
+        Raises:
+            DatasetError: There is no truth.
+        """
+        arms, kinds = self.unit.arms, self.sequence.entry.kinds
+        kind = f"visible_{arms[0]}"
+        return self.sequence.clean_mask(kind if len(arms) == 1 and kind in kinds else self.unit.kind, frame)
 
     def scene(self) -> Scene:
         """What stays the same over the sequence."""
@@ -104,7 +133,7 @@ class UnitData:
             T_cam_base=np.stack(bases) if bases else None,
         )
 
-    def observation(self, frame: int, mask: Mask) -> Observation:
+    def observation(self, frame: int) -> Observation:
         """What a tracker may know of a frame; ``start`` is the engine's to fill in."""
         keypoints = _seen(self._keypoints, frame)
         image = _image_at(self.sequence.image_path(frame), self.camera)
@@ -115,8 +144,7 @@ class UnitData:
         kinematics = None
         if self._kinematics is not None and not np.isnan(self._kinematics[frame]).any():
             kinematics = self._kinematics[frame]
-        alone = self.sequence.instance_masks(frame) if self._tells_apart else None
-        view = View(self.camera, np.eye(4), mask, alone, keypoints=keypoints, image=image)
+        view = View(self.camera, np.eye(4), self.mask(frame), self._alone(frame), keypoints=keypoints, image=image)
         return Observation(
             index=frame,
             timestamp_s=float(self.sequence.timestamps_s[frame]),
@@ -126,6 +154,13 @@ class UnitData:
             kinematics=kinematics,
         )
 
+    def _alone(self, frame: int) -> tuple[Mask, ...] | None:
+        kinds = self.sequence.instance_kinds
+        if not self._tells_apart or kinds is None:
+            return None
+        read: Callable[[str, int], Mask] = self.sequence.clean_mask if self._true_masks else self.sequence.mask
+        return tuple(read(kind, frame) for kind in kinds)
+
     def _further_views(self, frame: int) -> tuple[View, ...]:
         view, kind = self._auxiliary, self.unit.kind
         if view is None:
@@ -133,7 +168,8 @@ class UnitData:
         keypoints = _seen([view.keypoints(kind, arm) for arm in self.unit.arms], frame)
         image = _image_at(view.image_path(frame), view.camera)
         T_view_cam = view.T_view_cam(kind)[frame]
-        return (View(view.camera, T_view_cam, view.mask(kind, frame), keypoints=keypoints, image=image),)
+        mask = view.clean_mask(kind, frame) if self._true_masks else view.mask(kind, frame)
+        return (View(view.camera, T_view_cam, mask, keypoints=keypoints, image=image),)
 
 
 def _image_at(path: Path | None, camera: Camera) -> Callable[[], NDArray[np.uint8] | None]:

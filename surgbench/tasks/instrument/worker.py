@@ -10,21 +10,25 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surgbench.contract import Estimate, Observation, Scene, TimedFilter, Trace, Traceable
+from surgbench.contract import Estimate, Observation, Scene, TimedFilter, Trace, Traceable, View
 from surgbench.errors import InvalidAnswerError
 from surgbench.geometry import FloatArray
+from surgbench.mask_sources import Prompts
 from surgbench.processes.service import Tell, serve_parent
 from surgbench.randomness import generator
 from surgbench.registry import create, find
 from surgbench.state import JOINTS, STATE_SIZE, clip_joints, split_arms
 from surgbench.suite.settings import Plug
 from surgbench.tasks.instrument.asked import Scored
+from surgbench.tasks.instrument.made_masks import MaskMaker, masks_alone, with_images_read
 from surgbench.tasks.instrument.tips import AskedSource
+from surgbench.tasks.instrument.told_prompts import of_views
 from surgbench.timing import step_s
 
 
@@ -38,6 +42,8 @@ class Setup:
         tracker_axes: Named axes that seed the tracker's generator.
         initialiser_axes: Those of the initialiser; not the tracker, so that all trackers start alike.
         scored: Which state is answered: the tracker's own, or what the filter makes of it.
+        mask_source: What makes the masks; ``None``: views have them.
+        prompts: Points in the first picture of each view for it, where some are told.
     """
 
     tracker: Plug
@@ -48,6 +54,8 @@ class Setup:
     tracker_axes: dict[str, str | int]
     initialiser_axes: dict[str, str | int]
     scored: Scored = "raw"
+    mask_source: Plug | None = None
+    prompts: tuple[Prompts | None, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -58,8 +66,11 @@ class Answer:
     and ``lost_arms`` hold each arm's own, ``(arms,)``, and are ``None`` of one arm.
 
     ``latency_keypoints_ms`` is what the tracker waited for the keypoint source: 0 where it did not look at the tips. It
-    is not in ``latency_optimise_ms``. ``latency_filter_ms`` is the filter's ``predict`` and ``update``. All are
-    ``None`` of a frame that no tracker was asked about.
+    is not in ``latency_optimise_ms``. ``latency_filter_ms`` is the filter's ``predict`` and ``update``, and
+    ``latency_masks_ms`` what the mask source took, where there is one. All are ``None`` of a frame that no tracker was
+    asked about.
+
+    ``seen`` has the reference view's masks where a source made them, and ``confidence_masks`` how sure it was.
     """
 
     start: FloatArray
@@ -73,6 +84,9 @@ class Answer:
     latency_filter_ms: float | None
     confidence_arms: FloatArray | None = None
     lost_arms: NDArray[np.bool_] | None = None
+    latency_masks_ms: float | None = None
+    confidence_masks: float | None = None
+    seen: View | None = None
 
 
 def waiting(first: FloatArray) -> Answer:
@@ -164,6 +178,8 @@ class Loop:
         self._filter = self._make(setup.filter)
         self._last_s: float | None = None  # when the last frame was
         self._keypoints = AskedSource(self._make(setup.keypoints), setup.keypoints.name)
+        source = setup.mask_source
+        self._masks = None if source is None else MaskMaker(partial(self._make, source), source.name)
 
     @staticmethod
     def _make(plug: Plug) -> Any:
@@ -175,6 +191,9 @@ class Loop:
         """State of the frame that tracking begins with, by the initialiser, ``(9 * arms,)``, joints within limits."""
         setup, scene = self._setup, self._scene
         self._keypoints.reset(scene)
+        # With the truth there are points on the instruments before there are masks.
+        if not setup.initialiser.needs_truth:
+            observation = self._first_masks(observation, None)
         observation = self._keypoints.show(observation)
         initialiser = self._make(setup.initialiser)
         with self._keypoints.blamed():
@@ -182,6 +201,25 @@ class Loop:
         return clip_joints(
             check_state(state, self._size, f"initialiser '{setup.initialiser.name}'"), scene.joint_limits
         )
+
+    def _first_masks(self, observation: Observation, state: FloatArray | None) -> Observation:
+        """Have the mask source start with a frame; returns the frame with its masks.
+
+        Args:
+            observation: The frame that tracking begins with.
+            state: Its state, where it is known.
+        """
+        if self._masks is None:
+            return observation
+        start = np.zeros(self._size) if state is None else state
+        observation = with_images_read(replace(observation, start=start.copy()))
+        self._restart_masks(observation, state)
+        return self._masks.make(observation).observation
+
+    def _restart_masks(self, observation: Observation, state: FloatArray | None) -> None:
+        if self._masks is not None:
+            known = state if self._setup.initialiser.needs_truth else None
+            self._masks.reset(self._scene, observation, of_views(self._setup.prompts, self._scene, observation, known))
 
     def begin(self, observation: Observation, state: FloatArray, truth: FloatArray | None = None) -> None:
         """Start at a frame's state: warm up on a throw-away tracker, then reset everything.
@@ -197,14 +235,16 @@ class Loop:
             self._filter.give_truth(truth)
             state = clip_joints(truth[0], scene.joint_limits)
         self._keypoints.reset(scene)
-        # Compilation and caches belong to nobody's latency: the source is warmed up whether this step looks or not.
-        observation = self._keypoints.show(observation, at_once=True)
+        # Compilation and caches belong to nobody's latency: the sources are warmed up whether this step looks or not.
+        first = with_images_read(observation) if self._reads_images else observation
+        observation = self._keypoints.show(self._first_masks(first, state), at_once=True)
         warm = self._make(setup.tracker)
         warm.reset(scene, state.copy(), generator(**setup.tracker_axes))
         warm.step(replace(observation, start=state.copy()))
         self._tracker.reset(scene, state.copy(), generator(**setup.tracker_axes))
         self._filter.reset(scene, state.copy())
         self._keypoints.reset(scene)
+        self._restart_masks(first, state)
         self._first, self._last_s = state, None
 
     def _predict(self, before_s: float, now_s: float) -> Any:
@@ -214,6 +254,8 @@ class Loop:
 
     def step(self, observation: Observation, trace: Trace | None = None) -> Answer:
         """One frame. ``observation.start`` is filled in here."""
+        if self._reads_images:
+            observation = with_images_read(observation)
         begin = time.perf_counter()
         start = self._first if self._last_s is None else self._predict(self._last_s, observation.timestamp_s)
         self._last_s = observation.timestamp_s
@@ -223,7 +265,9 @@ class Loop:
             split_arms(start)[:, JOINTS] = observation.joints
         start = clip_joints(start, self._scene.joint_limits)
         self._keypoints.restart_clock()
-        observation = self._keypoints.show(replace(observation, start=start.copy()))
+        observation = replace(observation, start=start.copy())
+        made = None if self._masks is None else self._masks.make(observation)
+        observation = self._keypoints.show(observation if made is None else made.observation)
         if isinstance(self._tracker, Traceable):
             self._tracker.trace = trace
         before, waited_s = time.perf_counter(), self._keypoints.asked_s
@@ -255,7 +299,14 @@ class Loop:
             latency_filter_ms=1e3 * filter_s,
             confidence_arms=None if arms == 1 else confidence,
             lost_arms=None if arms == 1 else lost,
+            latency_masks_ms=None if made is None else 1e3 * made.elapsed_s,
+            confidence_masks=None if made is None else made.confidence,
+            seen=None if made is None else masks_alone(made.observation.views[0]),
         )
+
+    @property
+    def _reads_images(self) -> bool:
+        return self._masks is not None or bool(getattr(self._tracker, "reads_images", False))
 
 
 class Service:
