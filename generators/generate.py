@@ -21,6 +21,7 @@ from surgbench.errors import ConfigError, unknown_name
 from surgbench.generators.auxiliary import AUXILIARY_CAMERA, camera_of
 from surgbench.generators.frames import KINDS, VISIBLE_KINDS, Chunk, FrameWriter, chunk_part
 from surgbench.generators.looks.look import encode_look
+from surgbench.generators.looks.markers import with_markers, without_markers
 from surgbench.generators.looks.sequence import EYE, EYE_KINDS
 from surgbench.generators.looks.variants import pick
 from surgbench.generators.mismatch import NO_MISMATCH, real_camera, real_instrument
@@ -186,6 +187,9 @@ def plan_dataset(preset: Preset, part: Part | None = None) -> Plan:
     views = () if preset.auxiliary is None else preset.auxiliary.views
     auxiliary = dict.fromkeys(views, AuxiliaryEntry(camera=AUXILIARY_CAMERA, kinds=ARMS, keypoints=True))
     images = preset.images
+    if images is not None:
+        # Trackers are told what is painted, and of nothing that is not.
+        instrument = with_markers(instrument) if images.markers else without_markers(instrument)
     if images is not None and images.stereo is not None:
         auxiliary[EYE] = AuxiliaryEntry(camera=CAMERA_NAME, kinds=EYE_KINDS, keypoints=True, images=True)
     sequences = tuple(

@@ -61,6 +61,9 @@ def real_instrument(instrument: Instrument, mismatch: Mismatch) -> Instrument:
         update={
             "links": tuple(stretched(link) for link in instrument.spec.links),
             "tips": tuple(moved(tip) for tip in instrument.spec.tips),
+            "markers": tuple(
+                marker.model_copy(update={"point": moved(marker.point)}) for marker in instrument.spec.markers
+            ),
             "skeleton": tuple((moved(one), moved(other)) for one, other in instrument.spec.skeleton),
         }
     )

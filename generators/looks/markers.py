@@ -1,13 +1,12 @@
 """Painted markers: twelve colours on shaft, wrist and jaws, one of a kind each; those of the jaws are asymmetric.
 
 How many there are, and how they lie on the jaws, is as for published painted instruments (7.5 and 6.5 or 9 mm from the
-yaw axis); the places on shaft and wrist and the colours are ours.
+yaw axis); the places on shaft and wrist and the colours are ours. An instrument whose file lists markers has those.
 """
 
 from __future__ import annotations
 
 import colorsys
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,27 +14,11 @@ from numpy.typing import NDArray
 from surgbench.generators.looks.surface import Surface
 from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument
-from surgbench.instrument.spec import LinkPoint
+from surgbench.instrument.plausibility import least_distance, on_body
+from surgbench.instrument.spec import LinkPoint, Marker
 
 # Triangles near a marker are divided until their edges are shorter.
 FINEST_M = 1.2e-4
-
-
-@dataclass(frozen=True)
-class Marker:
-    """A round spot of paint.
-
-    Attributes:
-        name: Of its own.
-        point: Its middle, on the link's surface or less than its radius below.
-        radius_m: Of the ball within which the surface is painted.
-        colour: Linear red, green and blue, as painted.
-    """
-
-    name: str
-    point: LinkPoint
-    radius_m: float
-    colour: tuple[float, float, float]
 
 
 def _colour(number: int) -> tuple[float, float, float]:
@@ -59,14 +42,34 @@ _PLACES: tuple[tuple[str, str, tuple[float, float, float], float], ...] = (
     ("jaw_right", "jaw_right", (0.0003, 0.0065, 0.0006), 0.0010),
 )
 MARKERS = tuple(
-    Marker(name, LinkPoint(link=link, point_m=place), radius, _colour((5 * number) % 12))
+    Marker(
+        name=name,
+        point=LinkPoint(link=link, point_m=place),
+        radius_m=radius,
+        colour=_colour((5 * number) % 12),
+    )
     for number, (name, link, place, radius) in enumerate(_PLACES)
 )
 
 
-def markers_of(instrument: Instrument) -> tuple[Marker, ...]:
-    """Those whose link the instrument has, with a body."""
-    return tuple(marker for marker in MARKERS if marker.point.link in instrument.meshes)
+def with_markers(instrument: Instrument, paint: tuple[Marker, ...] = MARKERS) -> Instrument:
+    """The instrument as it is once it is painted: with the markers that its file lists, or else with these.
+
+    Args:
+        instrument: Painted or not.
+        paint: For one whose file lists none; those on which it has a surface.
+    """
+    if instrument.spec.markers:
+        return instrument
+    own = tuple(marker for marker in paint if on_body(marker, instrument.meshes))
+    return Instrument(instrument.spec.model_copy(update={"markers": own}), instrument.meshes)
+
+
+def without_markers(instrument: Instrument) -> Instrument:
+    """The instrument as it is before it is painted."""
+    if not instrument.spec.markers:
+        return instrument
+    return Instrument(instrument.spec.model_copy(update={"markers": ()}), instrument.meshes)
 
 
 def painted(surface: Surface, markers: tuple[Marker, ...]) -> tuple[Surface, dict[str, Surface]]:
@@ -126,11 +129,5 @@ def _to_be_cut(corners: FloatArray, markers: tuple[Marker, ...]) -> NDArray[np.b
     edges = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2).max(axis=1)
     near = np.zeros(len(corners), dtype=bool)
     for marker in markers:
-        near |= _distance(np.array(marker.point.point_m), corners) < marker.radius_m
+        near |= least_distance(np.array(marker.point.point_m), corners) < marker.radius_m
     return np.asarray(near & (edges > FINEST_M))
-
-
-def _distance(point: FloatArray, corners: FloatArray) -> FloatArray:
-    """``(F,)`` lower bound of the distance from a point to triangles: that to their planes and bounding boxes."""
-    outside = np.maximum(corners.min(axis=1) - point, point - corners.max(axis=1)).clip(min=0.0)
-    return np.asarray(np.linalg.norm(outside, axis=1))

@@ -139,7 +139,6 @@ class PictureWriter:
             images.samples,
             look.nearest_m,
             eyes,
-            markers=images.markers,
         )
         jpeg = images.compression == "jpeg"
         self._optics = [Optics(self._lens.camera, look.look, jpeg=jpeg) for _ in eyes]

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from surgbench.camera import NEAR_M, Camera
 from surgbench.generators.looks.backdrop import make_backdrop
 from surgbench.generators.looks.look import Look
-from surgbench.generators.looks.markers import markers_of, painted
+from surgbench.generators.looks.markers import painted
 from surgbench.generators.looks.materials import paint, shaft, steel
 from surgbench.generators.looks.surface import Surface, link_surface
 from surgbench.generators.looks.variants import use
@@ -36,7 +36,7 @@ class PictureRenderer:
     """Renders the images of one sequence.
 
     Args:
-        instrument: Of all arms.
+        instrument: Of all arms; its markers are painted on it.
         count: How many arms there are.
         camera: Pinhole, of every eye.
         look: Of the sequence.
@@ -44,7 +44,6 @@ class PictureRenderer:
         samples: Rays a pixel.
         nearest_m: No part of the backdrop comes nearer; ``None`` for no backdrop.
         eyes: ``(4, 4)`` T_eye_cam of each.
-        markers: Whether coloured markers are painted on the instruments.
     """
 
     def __init__(
@@ -57,8 +56,6 @@ class PictureRenderer:
         samples: int,
         nearest_m: float | None,
         eyes: Sequence[FloatArray] = (np.eye(4),),
-        *,
-        markers: bool = False,
     ) -> None:
         self._mi = use(variant)
         self._variant = variant
@@ -82,7 +79,7 @@ class PictureRenderer:
         }
         surfaces = self._surfaces()
         materials = self._materials()
-        spots = markers_of(instrument) if markers else ()
+        spots = instrument.spec.markers
         for name, whole in surfaces.items():
             bare, paints = painted(whole, tuple(spot for spot in spots if spot.point.link == name))
             group: dict[str, Any] = {"type": "shapegroup", "bare": _part(self._mi, name, bare, materials[name])}

@@ -144,7 +144,7 @@ class Images(Section):
         stereo: The other eye; there is none unless told.
         depth: Whether ``truth`` has depth images.
         links: Whether ``truth`` has masks of the links.
-        markers: Whether coloured markers are painted on the instruments.
+        markers: Whether coloured markers are painted on the instruments: those of the instrument file, or else ours.
         look: Ranges of what differs from sequence to sequence.
     """
 

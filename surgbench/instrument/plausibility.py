@@ -11,7 +11,7 @@ import numpy as np
 from surgbench.errors import ConfigError
 from surgbench.geometry import FloatArray
 from surgbench.instrument.model import LinkMesh
-from surgbench.instrument.spec import InstrumentSpec, Link, LinkPoint
+from surgbench.instrument.spec import InstrumentSpec, Link, LinkPoint, Marker
 
 # A da Vinci instrument is 0.6 m long with all of its shaft, and goes through a cannula of 8 to 13 mm.
 LONGEST_M = 1.0
@@ -39,6 +39,12 @@ def check_instrument(spec: InstrumentSpec, meshes: dict[str, LinkMesh], path: ob
             _check_size(link, meshes[link.name], path)
     for number, tip in enumerate(spec.tips, start=1):
         _check_tip(number, tip, meshes, path)
+    for marker in spec.markers:
+        if not on_body(marker, meshes):
+            raise ConfigError(
+                f"{path}: marker '{marker.name}' is further than its radius off the body of link "
+                f"'{marker.point.link}'; 'point_m' is metres in the link's frame"
+            )
 
 
 def _check_offsets(link: Link, path: object) -> None:
@@ -85,6 +91,21 @@ def _check_tip(number: int, tip: LinkPoint, meshes: dict[str, LinkMesh], path: o
         raise ConfigError(
             f"{about} is {1000 * off:.1f} mm off that link's body; 'point_m' is metres in the link's frame"
         )
+
+
+def on_body(marker: Marker, meshes: dict[str, LinkMesh]) -> bool:
+    """Whether a marker's link has a body, with a surface so near that the marker may be on it."""
+    mesh = meshes.get(marker.point.link)
+    if mesh is None:
+        return False
+    distances = least_distance(np.array(marker.point.point_m), mesh.vertices_m[mesh.faces])
+    return bool(distances.min() < marker.radius_m)
+
+
+def least_distance(point: FloatArray, corners: FloatArray) -> FloatArray:
+    """``(F,)`` lower bound of the distance from a point to triangles, ``(F, 3, 3)``: that to their bounding boxes."""
+    outside = np.maximum(corners.min(axis=1) - point, point - corners.max(axis=1)).clip(min=0.0)
+    return np.asarray(np.linalg.norm(outside, axis=1))
 
 
 def distance_to_body(mesh: LinkMesh, point: FloatArray) -> float:

@@ -12,6 +12,7 @@ from surgbench.config import Finite, Section
 
 Range = tuple[Finite, Finite]
 Vector3 = tuple[Finite, Finite, Finite]
+Share = Annotated[float, Field(ge=0.0, le=1.0)]
 
 JOINT_NAMES = ("wrist_pitch", "wrist_yaw", "jaw")
 JointName = Literal["wrist_pitch", "wrist_yaw", "jaw"]
@@ -113,6 +114,22 @@ class LinkPoint(Section):
     point_m: Vector3
 
 
+class Marker(Section):
+    """A round spot of paint.
+
+    Attributes:
+        name: Of its own.
+        point: Its middle, on the link's surface or less than its radius off.
+        radius_m: Of the ball within which the surface is painted.
+        colour: Linear red, green and blue, as painted.
+    """
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+$")]
+    point: LinkPoint
+    radius_m: Annotated[float, Field(gt=0, allow_inf_nan=False)]
+    colour: tuple[Share, Share, Share]
+
+
 class Joint(Section):
     """Limits of one joint, radians: what trackers search, and what the generator draws."""
 
@@ -143,6 +160,7 @@ class InstrumentSpec(Section):
     Attributes:
         observable: What can be seen of its state besides where it is and points; errors of anything else are not
             scored. ``None``: the joints that move a body or a tip, and the roll unless the body is round.
+        markers: Painted on it, each of a colour of its own.
     """
 
     format: Literal["surgbench-instrument-1"]
@@ -154,6 +172,7 @@ class InstrumentSpec(Section):
     tips: tuple[LinkPoint, LinkPoint]
     skeleton: tuple[tuple[LinkPoint, LinkPoint], ...] = ()
     observable: tuple[Quantity, ...] | None = None
+    markers: tuple[Marker, ...] = ()
 
     @model_validator(mode="after")
     def _consistent(self) -> InstrumentSpec:
@@ -173,6 +192,13 @@ class InstrumentSpec(Section):
         for point in points:
             if point.link not in seen:
                 raise ValueError(f"unknown link '{point.link}' in tips or skeleton")
+        names: set[str] = set()
+        for marker in self.markers:
+            if marker.name in names:
+                raise ValueError(f"two markers are named '{marker.name}'")
+            if marker.point.link not in seen:
+                raise ValueError(f"unknown link '{marker.point.link}' of marker '{marker.name}'")
+            names.add(marker.name)
         used = {link.joint for link in self.links}
         for quantity in self.observable or ():
             if quantity != "roll" and quantity not in used:

@@ -18,7 +18,7 @@ from surgbench.dataset.validate import validate
 from surgbench.errors import ConfigError
 from surgbench.generators.generate import generate, plan_dataset
 from surgbench.generators.looks.look import Look, draw_look
-from surgbench.generators.looks.markers import MARKERS, markers_of, painted
+from surgbench.generators.looks.markers import MARKERS, painted, with_markers, without_markers
 from surgbench.generators.looks.optics import Optics, compressed, defocused
 from surgbench.generators.looks.patterns import noise, threshold
 from surgbench.generators.looks.scene import PictureRenderer
@@ -30,7 +30,8 @@ from surgbench.generators.observations import lagged
 from surgbench.generators.presets import Preset, load_preset
 from surgbench.generators.render import MaskRenderer
 from surgbench.geometry import FloatArray
-from surgbench.instrument import Instrument, load_instrument
+from surgbench.instrument import Instrument, load_instrument, save_instrument
+from surgbench.instrument.model import LinkMesh
 from surgbench.state import BETA
 from surgbench.tasks.instrument.dataset import InstrumentDataset
 
@@ -79,9 +80,9 @@ def contents(folder: Path) -> dict[str, bytes]:
     return {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
-def rendered(instrument: Instrument, **options: Any) -> NDArray[np.float32]:
+def rendered(instrument: Instrument) -> NDArray[np.float32]:
     """Linear light of both arms before nothing."""
-    renderer = PictureRenderer(instrument, 2, SMALL, look(), "scalar_rgb", 8, None, **options)
+    renderer = PictureRenderer(instrument, 2, SMALL, look(), "scalar_rgb", 8, None)
     light: NDArray[np.float32] = renderer.linear(STATES, np.zeros((2, 9)), 0.0, seed=1)
     return light
 
@@ -106,7 +107,8 @@ def test_instruments_are_seen_where_the_clean_mask_says(instrument: Instrument) 
 @pytest.mark.parametrize("markers", [False, True])
 def test_pixel_centres_see_the_instruments_that_the_clean_mask_shows(instrument: Instrument, markers: bool) -> None:
     camera = SMALL.resized(384, 288)
-    renderer = PictureRenderer(instrument, 2, camera, look(), "scalar_rgb", 1, None, markers=markers)
+    shown = with_markers(instrument) if markers else instrument
+    renderer = PictureRenderer(shown, 2, camera, look(), "scalar_rgb", 1, None)
     seen = renderer.depth_m(STATES, 0.0) > 0
     mask = MaskRenderer([instrument] * 2, camera).mask(STATES)
     assert (seen & mask).sum() / (seen | mask).sum() > 0.999
@@ -156,7 +158,7 @@ def test_vergence_turns_the_eye_inwards() -> None:
 
 @pytest.mark.slow
 def test_markers_are_seen_where_their_places_project(instrument: Instrument) -> None:
-    plain, marked = (rendered(instrument, markers=on)[..., :3] for on in (False, True))
+    plain, marked = (rendered(one)[..., :3] for one in (instrument, with_markers(instrument)))
     # Steel and coat are grey.
     hues = [image.max(axis=2) - image.min(axis=2) > 0.4 * image.max(axis=2) for image in (plain, marked)]
     changed = hues[1] & ~hues[0] & (marked.max(axis=2) > 0.05)
@@ -175,7 +177,7 @@ def test_markers_are_twelve_colours_and_leave_the_shape_alone(instrument: Instru
     assert apart.min() > 0.15
     mesh = instrument.meshes["jaw_left"]
     surface = link_surface(mesh, shaft=False)
-    own = tuple(one for one in markers_of(instrument) if one.point.link == "jaw_left")
+    own = tuple(one for one in MARKERS if one.point.link == "jaw_left")
     bare, spots = painted(surface, own)
 
     def area(vertices: FloatArray) -> float:
@@ -186,6 +188,37 @@ def test_markers_are_twelve_colours_and_leave_the_shape_alone(instrument: Instru
     assert area(bare.vertices_m) + sum(areas.values()) == pytest.approx(area(surface.vertices_m))
     assert set(areas) == {marker.name for marker in own}
     assert min(areas.values()) > 1e-6  # one square millimetre
+
+
+def test_trackers_are_told_what_is_painted_and_of_nothing_else(instrument: Instrument, tmp_path: Path) -> None:
+    painted_instrument = with_markers(instrument)
+    assert painted_instrument.spec.markers == MARKERS
+    assert with_markers(painted_instrument) is painted_instrument
+    assert without_markers(painted_instrument).spec == instrument.spec
+    without = plan_dataset(TINY)
+    images = TINY.images
+    assert images is not None
+    with_paint = TINY.model_copy(update={"images": images.model_copy(update={"markers": True})})
+    there = plan_dataset(with_paint)
+    changed = [path for path, data in there.instrument_files.items() if without.instrument_files[path] != data]
+    assert changed == ["instruments/large_needle_driver/instrument.yaml"]
+    for plan, expected in ((without, ()), (there, MARKERS)):
+        save_instrument(plan.instrument, tmp_path)
+        assert load_instrument(tmp_path / "instrument.yaml").spec.markers == expected
+    # An instrument file's own markers are painted, or else not in the dataset's copy of it.
+    few = instrument.spec.model_copy(update={"markers": MARKERS[:2]})
+    save_instrument(Instrument(few, instrument.meshes), tmp_path)
+    for preset, expected in ((TINY, ()), (with_paint, MARKERS[:2])):
+        own = plan_dataset(preset.model_copy(update={"instrument": str(tmp_path / "instrument.yaml")}))
+        assert own.instrument.spec.markers == own.real_instrument.spec.markers == expected
+
+
+def test_a_link_that_is_elsewhere_is_not_painted(instrument: Instrument) -> None:
+    mesh = instrument.meshes["wrist"]
+    moved = LinkMesh(mesh.vertices_m + np.array([0.0, 0.0, 0.1]), mesh.faces)
+    names = {marker.name for marker in with_markers(Instrument(instrument.spec, {"wrist": mesh})).spec.markers}
+    assert names == {"wrist_1", "wrist_2", "wrist_3", "wrist_4"}
+    assert with_markers(Instrument(instrument.spec, {"wrist": moved})).spec.markers == ()
 
 
 # What a dataset with images holds

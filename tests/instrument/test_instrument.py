@@ -285,6 +285,16 @@ def spec_of(mesh: dict[str, Any] | None = None) -> dict[str, Any]:
     }
 
 
+def marker_of(link: str = "body") -> dict[str, Any]:
+    """A spot that begins 1 mm off one side of a box of 1 cm."""
+    return {
+        "name": "dot",
+        "point": {"link": link, "point_m": [0.006, 0, 0]},
+        "radius_m": 1.5e-3,
+        "colour": [0, 1, 0],
+    }
+
+
 def write_instrument(folder: Path, mesh: trimesh.Trimesh, name: str = "body.stl", **entry: Any) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     mesh.export(str(folder / name))
@@ -316,6 +326,10 @@ def change(spec: dict[str, Any], key: str, value: Any) -> None:
         ("links.0.parent", "base", r"'link 'body': the first link, and only it, has no parent|first link"),
         ("links.0.name", "../body", r"'links.0.name': .*pattern"),
         ("tips.1.link", "jaw", r"unknown link 'jaw'"),
+        ("markers", [marker_of()] * 2, r"two markers are named 'dot'"),
+        ("markers", [marker_of("jaw")], r"unknown link 'jaw' of marker 'dot'"),
+        ("markers", [{**marker_of(), "colour": [0, 2, 0]}], r"'markers.0.colour.1': .*less than or equal to 1"),
+        ("markers", [{**marker_of(), "radius_m": 1e-4}], r"marker 'dot' is further than its radius off .* 'body'"),
     ],
 )
 def test_wrong_key_is_one_line_with_file_and_key(tmp_path: Path, key: str, value: Any, told: str) -> None:
@@ -337,6 +351,17 @@ def test_file_that_is_no_mapping_is_one_line(tmp_path: Path, text: str) -> None:
         load_instrument(path)
     assert "\n" not in str(caught.value)
     assert str(path) in str(caught.value)
+
+
+def test_markers_travel_with_an_instrument(tmp_path: Path) -> None:
+    path = write_instrument(tmp_path, trimesh.creation.box([0.01] * 3))
+    before = save_instrument(load_instrument(path), tmp_path / "bare")[0].read_bytes()
+    assert b"markers" not in before
+    path.write_text(yaml.safe_dump({**spec_of(), "markers": [marker_of()]}))
+    painted = load_instrument(path)
+    assert painted.spec.markers[0].colour == (0, 1, 0)
+    save_instrument(painted, tmp_path / "copy")
+    assert load_instrument(tmp_path / "copy" / "instrument.yaml").spec.markers == painted.spec.markers
 
 
 def test_missing_instrument_file(tmp_path: Path) -> None:
