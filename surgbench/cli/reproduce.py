@@ -31,6 +31,14 @@ def reproduce(
         Path | None,
         typer.Option(metavar="DIR", help="Masks of SurgPose: TRAJECTORY/PSM1 and PSM3. Default: in --surgpose."),
     ] = None,
+    masks: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="Of recordings: also rows from pixels to poses, with this mask source."),
+    ] = None,
+    set_: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="NAME.option=value", help="An option of that mask source; may be repeated."),
+    ] = None,
     quick: Annotated[bool, typer.Option("--quick", help="Every row on a small fixed share; not to be quoted.")] = False,
     check: Annotated[
         bool, typer.Option("--check", help="Run a part of a finished table again and compare; nothing is written.")
@@ -61,7 +69,7 @@ def reproduce(
 
     Example: surgbench reproduce table1 --arms dual
 
-    Example: surgbench reproduce table1 --surgpose SurgPose --surgpose-masks sam2
+    Example: surgbench reproduce table1 --surgpose SurgPose --surgpose-masks masks --masks sam2 --set sam2.model=DIR
 
     Whatever is interrupted goes on with the same command. --check takes the table in DIR, sees whether its files agree,
     runs a part of it again that its hash and the git commit choose, and ends with exit code 1 where it comes out
@@ -71,17 +79,21 @@ def reproduce(
 
     from surgbench.config import is_file
     from surgbench.errors import ConfigError
-    from surgbench.reproduce.load import load_table
+    from surgbench.reproduce.load import ToldMasks, load_table
     from surgbench.reproduce.make import render as render_page
     from surgbench.reproduce.make import reproduce as make_table
     from surgbench.reproduce.make import table_folder
     from surgbench.reproduce.screen import print_table
+    from surgbench.suite.suites import parse_sets
 
     if sum((quick, check, render, bool(row))) > 1:
         raise ConfigError("--quick, --check, --render and --row contradict each other; give one")
     if surgpose_masks is not None and surgpose is None:
         raise ConfigError("--surgpose-masks needs --surgpose DIR")
-    definition = load_table(table if is_file(table) else _name(table, arms == "dual", surgpose is not None))
+    if set_ and masks is None:
+        raise ConfigError("--set: is for a mask source; give one by --masks NAME")
+    told = None if masks is None else ToldMasks(masks, parse_sets(set_ or []))
+    definition = load_table(table if is_file(table) else _name(table, arms == "dual", surgpose is not None), told)
     maker = _Maker({"surgpose": (surgpose, {"masks": surgpose_masks})})
     workers = jobs or len(os.sched_getaffinity(0))
     place = out or (COMMITTED if check or render else OWN)

@@ -15,6 +15,7 @@ from surgbench.report.row import Row
 from surgbench.report.rows import derive_rows
 from surgbench.reproduce.files import FORMAT
 from surgbench.reproduce.fingerprint import head, record_sha256
+from surgbench.reproduce.over_sequences import spread_over_sequences
 from surgbench.reproduce.results import RECORDS, TIMING, BlockWork, Results
 from surgbench.reproduce.table import Definition
 from surgbench.suite.settings import Job
@@ -63,9 +64,10 @@ def derive(definition: Definition, blocks: Sequence[BlockWork], out: Path, quick
                 _count(made_in, content)
             timing = [record for record, content in _read(out / TIMING, one.timing) if _count(timed_in, content)]
             timed = {_part(row): row for row in derive_rows(timing)} if timing else {}
+            spread = spread_over_sequences(definition.table.over_sequences, read, timing or read)
             for row in derive_rows(read):
                 latencies = {column: timed[_part(row)][column] for column in sheet.latencies if _part(row) in timed}
-                rows.append({**row, "block": work.block.name, "label": one.row.label, **latencies})
+                rows.append({**row, "block": work.block.name, "label": one.row.label, **latencies, **spread})
     about = {
         "format": FORMAT,
         "table": definition.name,

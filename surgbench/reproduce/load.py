@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import hashlib
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from surgbench.config import locate, parse_model, read_yaml
@@ -13,9 +15,29 @@ from surgbench.reproduce.published import Published, load_published
 from surgbench.reproduce.table import Block, Definition, TableRow, table_model
 from surgbench.task import default_task, find_task
 
+# Rows of recordings whose masks are made by whatever the command line names.
+TOLD = "told"
 
-def load_table(reference: str) -> Definition:
+
+@dataclass(frozen=True)
+class ToldMasks:
+    """What makes the masks of rows that leave it open.
+
+    Attributes:
+        source: A mask source, ``NAME`` or ``FILE.py:Class``.
+        options: Plug-in name to its options, as of :func:`surgbench.suite.suites.parse_sets`.
+    """
+
+    source: str
+    options: dict[str, dict[str, Any]] = field(default_factory=dict)
+
+
+def load_table(reference: str, masks: ToldMasks | None = None) -> Definition:
     """A table by name (``surgbench list tables``) or from a YAML file.
+
+    Args:
+        reference: Which.
+        masks: For rows with ``masks: told``, which are left out where nothing is.
 
     Raises:
         NotFoundError: No such table, or a row of it names a plug-in or published row that is not there.
@@ -27,7 +49,7 @@ def load_table(reference: str) -> Definition:
         task = find_task(str(content["task"]))
     except NotFoundError as error:
         raise NotFoundError(f"{path}: {error}") from None
-    table = parse_model(table_model(task.row), _with_defaults(content), str(path))
+    table = parse_model(table_model(task.row), _with_told(_with_defaults(content), masks, path), str(path))
     published = None if table.published is None else load_published(table.published)
     for block, row in table.rows():
         try:
@@ -48,6 +70,32 @@ def _with_defaults(content: dict[str, Any]) -> dict[str, Any]:
 
     blocks = content.get("blocks")
     return {**content, "blocks": [of_block(block) for block in blocks]} if isinstance(blocks, list) else content
+
+
+def _with_told(content: dict[str, Any], masks: ToldMasks | None, path: Path) -> dict[str, Any]:
+    """The file's content with the told mask source in rows that leave it open, and without these if there is none."""
+    found = 0
+
+    def of_row(row: Any) -> list[Any]:
+        nonlocal found
+        if not isinstance(row, dict) or row.get("masks") != TOLD:
+            return [row]
+        found += 1
+        if masks is None:
+            return []
+        return [{**row, "masks": masks.source, "options": {**row.get("options", {}), **masks.options}}]
+
+    def of_block(block: Any) -> Any:
+        rows = block.get("rows") if isinstance(block, dict) else None
+        return {**block, "rows": [new for row in rows for new in of_row(row)]} if isinstance(rows, list) else block
+
+    blocks = content.get("blocks")
+    if not isinstance(blocks, list):
+        return content
+    told = {**content, "blocks": [of_block(block) for block in blocks]}
+    if masks is not None and not found:
+        raise ConfigError(f"{path}: no row of this table leaves its masks open; --masks is for those of recordings")
+    return told
 
 
 def _check_row(block: Block, row: TableRow, published: Published | None) -> None:

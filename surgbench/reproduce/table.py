@@ -210,6 +210,8 @@ class Table(Section):
         check: How much ``--check`` repeats.
         figure: Estimates over time, if they are drawn.
         worst: Worst moments, if they are drawn.
+        over_sequences: Columns of which rows have the standard deviation over sequences too (``_std_sequences``);
+            ``frames_per_second`` is there with it alone.
         blocks: The parts, in order.
     """
 
@@ -222,6 +224,7 @@ class Table(Section):
     check: Check
     figure: Picture | None = None
     worst: Worst | None = None
+    over_sequences: tuple[str, ...] = ()
     blocks: Annotated[tuple[Block, ...], Field(min_length=1)]
 
     @model_validator(mode="after")

@@ -18,6 +18,8 @@ from surgbench.tasks.instrument.columns import (
     MARKED_TIPS,
     OUT_OF_VIEW,
     PAGE_ERRORS,
+    PAGE_MADE_MASKS,
+    PAGE_MASKS_TIME,
     PAGE_POSE,
     PAGE_SCALED,
     PAGE_TIME,
@@ -28,6 +30,7 @@ from surgbench.tasks.instrument.columns import (
     TIPS,
 )
 from surgbench.tasks.instrument.levels import LEVELS_PNG
+from surgbench.tasks.instrument.page_spread import SPREAD_NOTE, spread_table
 from surgbench.tasks.instrument.worst import WORST_PNG
 
 READING = (
@@ -59,6 +62,9 @@ def markdown(definition: Definition, results: Results) -> str:
         rows = [row for row in results.rows if row["block"] == block.name]
         about_data = _dataset(block, results.about["datasets"][block.dataset.folder])
         parts += [f"## {block.heading}", block.note.strip(), about_data, _block_table(rows), *failure_lines(rows)]
+        spread = spread_table(block, rows, published)
+        if spread:
+            parts += ["### Over sequences", SPREAD_NOTE, spread]
         if compared[block.name]:
             parts += [f"### Beside {source}", _comparison_table(compared[block.name])]
             parts.append(_not_met(compared[block.name]))
@@ -176,15 +182,17 @@ def _dataset(block: Block, dataset: dict[str, Any]) -> str:
 def _block_table(rows: Sequence[Row]) -> str:
     partly = any(row["coverage"] < 1 for row in rows)
     scaled = [PAGE_SCALED] if any(row[PAGE_SCALED.key] is not None for row in rows) else []
-    spreadless = (*scaled, PAGE_TIME, PAGE_TIME_P95)
+    made = [PAGE_MASKS_TIME] if any(row.get(PAGE_MADE_MASKS.key) is not None for row in rows) else []
+    spreadless = (*scaled, *made, PAGE_TIME, PAGE_TIME_P95)
     # Recordings have no truth, and the page no columns of what nobody knows.
-    known = [c for c in (*PAGE_ERRORS, MARKED_TIPS, *READ_JOINTS) if any(row.get(c.key) is not None for row in rows)]
+    possible = (*PAGE_ERRORS, PAGE_MADE_MASKS, MARKED_TIPS, *READ_JOINTS)
+    known = [column for column in possible if any(row.get(column.key) is not None for row in rows)]
     errors = known or PAGE_ERRORS
     headings = ["method", "row id", *(column.heading for column in (*errors, *spreadless))]
     lines = [headings + (["sequences × frames"] if partly else [])]
     for row in rows:
         cells = [escape(row["label"]), f"`{row['row_id']}`"]
-        cells += [column.with_spread(row[column.key], row[f"{column.key}_sem"]) for column in errors]
+        cells += [column.with_spread(row.get(column.key), row.get(f"{column.key}_sem")) for column in errors]
         cells += [column.text(row[column.key]) for column in spreadless]
         if partly:
             frames = row["frames"] / row["sequences"] / row["repeats"]

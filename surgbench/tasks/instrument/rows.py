@@ -7,6 +7,7 @@ from surgbench.metrics import POSE_ERRORS
 from surgbench.report.field import count, flag, number, text
 from surgbench.report.row import COMMON_COLUMNS, Row, median, pooled
 from surgbench.report.summary import summarise
+from surgbench.reproduce.over_sequences import FRAMES_PER_SECOND, SUFFIX
 from surgbench.tasks.instrument.format import ARMS
 from surgbench.tasks.instrument.records import (
     ABSENT,
@@ -52,7 +53,12 @@ RECORDING_COLUMNS = (
 # Of rows alone whose masks were made.
 SOURCE_COLUMNS = (*text("mask_source"), *number(*(f"{SOURCE_ERROR}{suffix}" for suffix in ("", "_std", "_sem"))))
 
-FURTHER_COLUMNS = (*RECORDING_COLUMNS, *number(*JUDGED), *PAIR_COLUMNS, *SOURCE_COLUMNS)
+# Where a table asks for it: of an article that gives them.
+SPREAD_COLUMNS = number(
+    f"mask_error{SUFFIX}", f"mask_error_true{SUFFIX}", FRAMES_PER_SECOND, FRAMES_PER_SECOND + SUFFIX
+)
+
+FURTHER_COLUMNS = (*RECORDING_COLUMNS, *number(*JUDGED), *PAIR_COLUMNS, *SOURCE_COLUMNS, *SPREAD_COLUMNS)
 
 
 def instrument_row(head: Row, records: list[InstrumentRecord]) -> Row:
