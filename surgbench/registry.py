@@ -186,7 +186,7 @@ def find(kind: str, reference: str) -> Found:
         raise NotFoundError(f"{reference}: say which class, as {reference}:ClassName")
     available = discover(kind)
     if reference not in available:
-        raise NotFoundError(unknown_name(kind, reference, available) + "; or FILE.py:Class")
+        raise NotFoundError(unknown_name(kind.replace("_", " "), reference, available) + "; or FILE.py:Class")
     found = available[reference]
     if found.cls is None:
         raise ConfigError(f"{kind} '{reference}' ({found.source}) cannot be loaded: {found.problem}")

@@ -180,7 +180,7 @@ def test_a_video_without_masks_is_tracked_by_masks_made_of_it(video: Path, tmp_p
         ("truth", "needs ground truth"),
         ("observed", "has no masks"),
         (maker("Pointed"), "needs points in the first pictures: --prompts FILE"),
-        ("brigth", "unknown mask_source 'brigth'"),
+        ("brigth", "unknown mask source 'brigth'"),
     ],
 )
 def test_what_a_source_lacks_is_said_before_anything_is_run(
