@@ -17,6 +17,8 @@ from surgbench.cli import main
 
 # Trackers of people who never saw the package.
 STRANGERS = Path(__file__).with_name("strangers.py")
+# And mask sources of such.
+MASK_MAKERS = Path(__file__).with_name("mask_makers.py")
 # For runs in which it does not matter where the tips come from: without the network a run starts two seconds sooner.
 RUN = ("run", "--keypoints", "observed")
 

@@ -10,7 +10,7 @@ from typing import Any
 from surgbench.cli.progress import progress
 from surgbench.dataset.base import Dataset
 from surgbench.dataset.open import open_dataset
-from surgbench.errors import SurgbenchError
+from surgbench.errors import ConfigError, SurgbenchError
 from surgbench.exporting import export, read_material
 from surgbench.records.reader import read_records
 from surgbench.registry import create, find
@@ -50,7 +50,12 @@ class Tracking:
             SurgbenchError: Something in it is missing or wrong.
         """
         self._pairs = options.get("arm") == "both" and not options.get("instances")
-        importer = create(find("importer", self._importer), {"name": source.resolve().stem, **options})
+        found = find("importer", self._importer)
+        takes: Any = getattr(found.cls, "Config", None)
+        for name in options:
+            if name not in takes.model_fields:
+                raise ConfigError(f"--{name.replace('_', '-')}: is for recordings with masks, not for --masks")
+        importer = create(found, {"name": source.resolve().stem, **options})
         with progress("reading frames", importer.frames(source)) as advance:
             lines = importer.run(source, self._data, advance)
         for line in lines or ():
@@ -60,18 +65,17 @@ class Tracking:
     def _dataset(self) -> Dataset[Any]:
         return open_dataset(self._data)
 
-    def run(self, tracker: str, joints: bool, sets: list[str]) -> None:
+    def run(self, tracker: str, row: dict[str, Any], sets: list[str]) -> None:
         """Track every unit.
 
         Args:
             tracker: A name, or ``FILE.py:Class``.
-            joints: With joint readings.
+            row: What else is asked for, as by options of ``surgbench run``.
             sets: Options of plug-ins, ``NAME.option=value``.
 
         Raises:
             SurgbenchError: The tracker is not there, cannot run here, or fails.
         """
-        row = {"readings": "noisy"} if joints else {}
         conditions: dict[str, Any] = {"timeout_s": PATIENCE_S, **({"arms": "dual"} if self._pairs else {})}
         suite = from_command_line(None, [tracker], row, conditions)
         planned = complete_all(suite.rows, suite, self._dataset, parse_sets(sets))

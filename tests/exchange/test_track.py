@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 import pandas as pd
 import pytest
-from commandline import STRANGERS, surgbench
+from commandline import MASK_MAKERS, STRANGERS, surgbench
 from others import put_video
-from small_dataset import CAMERA, DRIVER, FRAMES, states_of
+from small_dataset import CAMERA, DRIVER, FRAMES, paint, states_of
 
 from surgbench.camera import Camera
 from surgbench.instrument import load_instrument
@@ -166,3 +166,19 @@ def test_what_is_wrong_is_one_line_and_leaves_nothing(
         assert words in error[0], (words, error[0])
         assert "recording/" not in error[0]
         assert {path.name for path in tmp_path.iterdir()} == before
+
+
+def test_a_camera_s_video_is_tracked_by_masks_made_of_it(
+    masks: list[np.ndarray], camera: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    put_video(tmp_path / "suturing.avi", map(paint, masks))
+    bright = ("--masks", f"{MASK_MAKERS}:Bright")
+    track(tmp_path / "suturing.avi", tmp_path / "poses.csv", "--camera", camera, *bright, "--no-video")
+    poses = pd.read_csv(tmp_path / "poses.csv")
+    assert len(poses) == FRAMES
+    # The wrist was looked for where the mask made of the picture is, and nowhere else.
+    u, v = CAMERA.project(poses.loc[0, ["x_m", "y_m", "z_m"]].to_numpy(dtype=float))
+    assert masks[0][round(v), round(u)]
+    capsys.readouterr()
+    track(tmp_path / "suturing.avi", tmp_path / "x.csv", "--camera", camera, *bright, "--label", 255, expect=2)
+    assert "--label: is for recordings with masks, not for --masks" in capsys.readouterr().err

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from commandline import RUN, records, surgbench
+from commandline import MASK_MAKERS, RUN, records, surgbench
 from others import put_camera, put_video
 from small_dataset import CAMERA, DRIVER, FRAMES, make_pair, paint, states_of
 
@@ -21,7 +21,6 @@ from surgbench.silhouette import SilhouetteEvaluator
 from surgbench.tasks.instrument.dataset import InstrumentDataset
 from surgbench.tasks.instrument.made_masks import check_found
 
-MAKERS = Path(__file__).parent.parent / "mask_makers.py"
 SOURCE_ERROR = "mask_source_error"
 
 
@@ -39,7 +38,7 @@ def run(dataset: Path, out: Path, masks: object, *options: object, expect: int =
 
 
 def maker(name: str) -> str:
-    return f"{MAKERS}:{name}"
+    return f"{MASK_MAKERS}:{name}"
 
 
 @pytest.mark.parametrize("arms", ["single", "dual"])
