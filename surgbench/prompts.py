@@ -29,9 +29,9 @@ _DEEP = 0.9
 
 
 def prompts_from_state(scene: Scene, view: View, state: FloatArray) -> Prompts:
-    """Points where an estimate puts the arms in a view: one on each link, as deep inside as anything of it that shows.
+    """Points where an estimate puts the arms in a view: one on each link, in the middle of what shows of it alone.
 
-    They lie in what shows of their own arm, at least ``LEAST_DEPTH_PX`` from its outline and the picture's border, so
+    They lie at least ``LEAST_DEPTH_PX`` from the outline of what shows of their arm and from the picture's border, so
     that an estimate may be off by as much.
 
     Args:
@@ -103,21 +103,26 @@ def check_on_instrument(prompts: Prompts, mask: Mask, instance_masks: Sequence[M
 
 
 def _on_links(instrument: Instrument, camera: Camera, state: FloatArray, visible: Mask) -> FloatArray:
-    """A point ``(n, 2)`` for each link of an arm that shows."""
-    points = []
+    """A point ``(n, 2)`` on each link of an arm, where no other link is; if that is too little, one on the whole."""
+    links = [
+        SilhouetteEvaluator([Instrument(instrument.spec, {name: mesh})], camera).mask(state)
+        for name, mesh in instrument.meshes.items()
+    ]
+    alone = np.sum(links, axis=0) == 1
+    points = [_middle(visible & link & alone) for link in links]
+    found = [point for point in points if point is not None] or [_middle(visible)]
+    return np.array([point for point in found if point is not None], dtype=np.float64).reshape(-1, 2)
+
+
+def _middle(mask: Mask) -> tuple[float, float] | None:
+    """The pixel (u, v) in the middle of the deepest of a mask: all along a shaft's axis they are as deep.
+
+    ``None`` where none is deep enough.
+    """
     # With a border of nothing, so that the middle of what the picture cuts off is a middle in the picture.
-    depth = cv2.distanceTransform(np.pad(visible, 1).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
-    if depth.max() >= LEAST_DEPTH_PX:
-        for name, mesh in instrument.meshes.items():
-            link = SilhouetteEvaluator([Instrument(instrument.spec, {name: mesh})], camera).mask(state)
-            within = np.where(link, depth, 0.0)
-            if within.max() >= LEAST_DEPTH_PX:
-                points.append(_middle(within))
-    return np.array(points, dtype=np.float64).reshape(-1, 2)
-
-
-def _middle(depth: FloatArray) -> tuple[float, float]:
-    """The pixel (u, v) in the middle of the deepest: all along a shaft's axis they are as deep."""
+    depth = cv2.distanceTransform(np.pad(mask, 1).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
+    if depth.max() < LEAST_DEPTH_PX:
+        return None
     rows, columns = np.nonzero(depth >= _DEEP * depth.max())
     nearest = int(np.argmin((rows - rows.mean()) ** 2 + (columns - columns.mean()) ** 2))
     return float(columns[nearest]), float(rows[nearest])

@@ -278,7 +278,7 @@ BACK = (
 
 def as_original(network: Any) -> dict[str, Any]:
     """A network's tensors as the repository would have named them."""
-    tensors = {}
+    tensors: dict[str, Any] = {}
     for name, value in network.state_dict().items():
         if name == "shared_image_embedding.positional_embedding":
             continue
@@ -321,7 +321,7 @@ def test_a_converted_network_is_the_same_one(checkpoint: Path, tmp_path: Path) -
         found.append(np.array([objects.step(image).logits for image in images]))
     assert np.ptp(found[0]) > 0
     # To the last digits: how a sum is taken depends on where in memory its terms lie.
-    np.testing.assert_allclose(*found, rtol=1e-3, atol=1e-3)
+    np.testing.assert_allclose(found[0], found[1], rtol=1e-3, atol=1e-3)
 
 
 @pytest.mark.parametrize(
