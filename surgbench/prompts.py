@@ -109,9 +109,11 @@ def _on_links(instrument: Instrument, camera: Camera, state: FloatArray, visible
         for name, mesh in instrument.meshes.items()
     ]
     alone = np.sum(links, axis=0) == 1
-    points = [_middle(visible & link & alone) for link in links]
-    found = [point for point in points if point is not None] or [_middle(visible)]
-    return np.array([point for point in found if point is not None], dtype=np.float64).reshape(-1, 2)
+    points = [point for link in links if (point := _middle(visible & link & alone)) is not None]
+    whole = _middle(visible)
+    if not points and whole is not None:
+        points = [whole]
+    return np.array(points, dtype=np.float64).reshape(-1, 2)
 
 
 def _middle(mask: Mask) -> tuple[float, float] | None:

@@ -39,10 +39,13 @@ def sam2(
     from surgbench.errors import SurgbenchError
     from surgbench.files import PARTIAL_SUFFIX
     from surgbench.locks import sole_writer
+    from surgbench.trackers.masks.sam2_video.checkpoint import CONFIG, WEIGHTS
     from surgbench.trackers.masks.sam2_video.original import convert, read_original, video_config, write_checkpoint
 
     with sole_writer(out, "convert"):
-        strangers = sorted(path.name for path in out.iterdir() if not path.name.endswith(PARTIAL_SUFFIX))
+        names = sorted(path.name for path in out.iterdir() if not path.name.endswith(PARTIAL_SUFFIX))
+        # Weights alone are of a conversion that was interrupted.
+        strangers = names if CONFIG in names else [name for name in names if name != WEIGHTS]
         if strangers:
             raise SurgbenchError(f"{out}: holds something else ('{strangers[0]}'); --out needs a new or empty folder")
         tensors = read_original(checkpoint)

@@ -6,6 +6,7 @@ import json
 import shutil
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from support import observe, resting_state, scene_of
-from tiny_sam2 import SIDE_PX, write_tiny
+from tiny_sam2 import SIDE_PX, tiny_network, write_tiny
 
 from surgbench.camera import Camera
 from surgbench.contract import Scene
@@ -64,19 +65,19 @@ def damaged(tiny: dict[str, Path], tmp_path: Path) -> Path:
 def painted(frame: int) -> NDArray[np.uint8]:
     """Two bars on a mottled ground, which move apart."""
     ground = np.random.default_rng(5).integers(60, 120, (CAMERA.height, CAMERA.width, 3))
-    picture: NDArray[np.uint8] = cv2.blur(ground.astype(np.uint8), (5, 5))
+    picture: Any = cv2.blur(ground.astype(np.uint8), (5, 5))
     for (u, v), step, colour in ((LEFT, -1, (220, 220, 230)), (RIGHT, 1, (40, 30, 35))):
         cv2.rectangle(
             picture, (int(u) - 9 + step * frame, int(v) - 6), (int(u) + 9 + step * frame, int(v) + 6), colour, -1
         )
-    return picture
+    return np.asarray(picture, dtype=np.uint8)
 
 
 def frames(scene: Scene, count: int = FRAMES) -> Iterator[tuple[Any, Any]]:
     """Observation and view of each frame."""
     observation = observe(scene, np.tile(resting_state(), scene.arms))
     for frame in range(count):
-        view = replace(scene.views[0], image=lambda frame=frame: painted(frame))
+        view = replace(scene.views[0], image=partial(painted, frame))
         yield replace(observation, index=frame, views=(view,)), view
 
 
@@ -364,6 +365,15 @@ def test_the_hub_is_asked_for_a_name_alone(
 def rewrite(folder: Path, **changes: Any) -> None:
     path = folder / "config.json"
     path.write_text(json.dumps({**json.loads(path.read_text(encoding="utf-8")), **changes}), encoding="utf-8")
+
+
+def test_a_checkpoint_in_several_files_is_read(tiny: dict[str, Path], tmp_path: Path) -> None:
+    tiny_network("sam2_video").save_pretrained(tmp_path / "parts", max_shard_size="1MB")
+    parts = sorted((tmp_path / "parts").glob("*.safetensors"))
+    assert len(parts) > 1
+    assert same(followed(tmp_path / "parts", count=2), followed(tiny["sam2_video"], count=2))
+    parts[0].unlink()
+    assert f"{parts[0]}: no such file" in refused(tmp_path / "parts")
 
 
 def test_another_architecture_is_named(damaged: Path) -> None:

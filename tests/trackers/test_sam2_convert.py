@@ -308,6 +308,8 @@ def test_a_converted_network_is_the_same_one(checkpoint: Path, tmp_path: Path) -
     from surgbench.trackers.masks.sam2_video.checkpoint import load_network
     from surgbench.trackers.masks.sam2_video.objects import VideoObjects
 
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "model.safetensors").write_bytes(b"interrupted before there was a configuration")
     surgbench("convert", "sam2", checkpoint, "--config", "tiny", "--out", tmp_path / "out")
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["config.json", "model.safetensors"]
     converted, network = load_network(tmp_path / "out", "", "cpu", None), tiny_network("sam2_video", seed=3)

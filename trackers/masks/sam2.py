@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from surgbench.config import Finite, Section
-from surgbench.contract import Observation, Plugin, Scene, View
+from surgbench.contract import Mask, Observation, Plugin, Scene, View
 from surgbench.errors import ConfigError, DatasetError
 from surgbench.extras import missing
 from surgbench.mask_sources import FoundMasks, Prompts
@@ -119,7 +119,8 @@ class Sam2Masks(Plugin):
         for place, arm in enumerate(self._prompted):
             masks[arm] = (surest == place) & (found.logits[place] > self.config.threshold)
         sure = np.where(found.presence > 0.5, found.presence * found.overlap, 1 - found.presence)
-        return FoundMasks(masks.any(axis=0), tuple(masks), float(sure.min()))
+        every: Mask = np.logical_or.reduce(masks)
+        return FoundMasks(every, tuple(masks), float(sure.min()))
 
     def _checkpoint(self) -> tuple[Path, str]:
         """The checkpoint's folder, and the hash of its weights."""

@@ -133,6 +133,7 @@ def load_network(folder: Path, sha256: str, device: str, memory_frames: int | No
         ConfigError: It is not what :func:`check_folder` lets pass, weights are missing, or unknown, or of another
             shape, or the checkpoint remembers fewer frames; one line.
     """
+    import torch
     import transformers
 
     kind = check_folder(folder)
@@ -163,6 +164,11 @@ def load_network(folder: Path, sha256: str, device: str, memory_frames: int | No
         if memory_frames > network.num_maskmem:
             raise ConfigError(f"{folder}: remembers {network.num_maskmem} frames at most, not {memory_frames}")
         network.num_maskmem = memory_frames
+    # In memory of its own: what lies in the file may be changed there, and the last digits of a sum depend on where its
+    # terms lie.
+    with torch.no_grad():
+        for value in (*network.parameters(), *network.buffers()):
+            value.data = value.data.to(device, copy=True)
     return network.eval().to(device)
 
 
