@@ -12,6 +12,7 @@ EXTRAS = {
     "onnx": ("onnx", "onnxruntime"),
     "plots": ("matplotlib",),
     "video": ("av",),
+    "sam2": ("transformers", "huggingface_hub"),
     "readers": ("evo", "mlcroissant", "pycocotools"),
     "bench": ("embreex", "moderngl", "open3d"),
 }

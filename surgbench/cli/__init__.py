@@ -15,6 +15,7 @@ from typer.core import TyperGroup
 from surgbench.caches import settle_caches
 from surgbench.cli.bench import bench_app
 from surgbench.cli.check import tracker
+from surgbench.cli.convert import convert_app
 from surgbench.cli.export import export
 from surgbench.cli.generate import generate
 from surgbench.cli.handeye import handeye
@@ -35,7 +36,7 @@ from surgbench.processes.streams import abandon_output, flush_output, print_what
 from surgbench.version import __version__
 
 # What these write appears when it is whole; of all others, what is done is not done again.
-_WHOLE = ("import", "export", "track", "handeye", "video")
+_WHOLE = ("import", "export", "track", "handeye", "video", "convert")
 INTERRUPTED = 130  # typer's own exit code for Ctrl-C, and the shell's
 BROKEN_PIPE = 1  # typer's own exit code for output that nobody reads any more
 
@@ -116,6 +117,7 @@ app.command("list")(list_names)
 check_app.command("tracker")(tracker)
 app.add_typer(check_app, name="check")
 app.add_typer(train_app, name="train")
+app.add_typer(convert_app, name="convert")
 app.add_typer(bench_app, name="bench")
 
 

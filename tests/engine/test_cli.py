@@ -30,6 +30,7 @@ COMMANDS = [
     ("bench", "silhouettes"),
     ("bench", "keypoints"),
     ("train", "keypoints"),
+    ("convert", "sam2"),
     ("check", "tracker"),
 ]
 
