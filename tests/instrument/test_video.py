@@ -232,7 +232,7 @@ def test_side_by_side_shows_what_was_observed_before_the_trackers(tmp_path: Path
     for column, colour in zip(places, (REFERENCE_COLOUR, shots[0].colour, shots[1].colour), strict=True):
         laid = TINT * np.array(colour) + (1 - TINT) * np.array([10, 60, 200])
         assert np.abs(picture[row, column + 6] - laid).max() <= 1
-        assert picture[row, column - 30].tolist() == [10, 60, 200]
+        assert picture[row, column - 45].tolist() == [10, 60, 200]
     assert picture[head:, -CAMERA.width :].tolist() != plain[head:, -CAMERA.width :].tolist()
 
 

@@ -120,7 +120,8 @@ class Scenery:
 
     def _seen_from_here(self, state: list[float], frame: int) -> FloatArray:
         T_view_cam = np.eye(4) if self._auxiliary is None else self._auxiliary.T_view_cam(self.kind)[frame]
-        return ChangeOfView(T_view_cam).states(np.array(state, dtype=np.float64))
+        seen: FloatArray = ChangeOfView(T_view_cam).states(np.array(state, dtype=np.float64))
+        return seen
 
     @property
     def whole(self) -> Window:
