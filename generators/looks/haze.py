@@ -16,7 +16,10 @@ SIZE_PX = 256
 DRIFT = ((0.11, -0.07), (-0.05, -0.16))
 SMOKE_BRIGHTNESS = 0.9
 BLOOD = (0.55, 0.06, 0.05)
-NEAR = (1.3, 0.35, 0.28)
+# Tissue near the lens, and where it is darker, against the light of the image; its wet shine, and how much darker it is
+# at its edges.
+NEAR, NEAR_DARK = (1.3, 0.42, 0.32), (0.55, 0.06, 0.05)
+NEAR_SHINE, EDGE_DARK = 1.2, 0.9
 
 
 class Haze:
@@ -48,14 +51,24 @@ class Haze:
             hidden: ``(height, width)`` where it is.
         """
         if self._near is None:
-            spots = noise(SIZE_PX, 0.3, self._rng, octaves=4, fade=0.5)
-            self._near = np.asarray(cv2.resize(spots, self._size, interpolation=cv2.INTER_LINEAR), np.float32)[
-                ..., None
-            ]
-        edge = cv2.GaussianBlur(hidden.astype(np.float32), (0, 0), self._size[0] / 250)[..., None]
-        grey = np.float32(np.quantile(light, 0.7))
-        flesh = grey * np.array(NEAR, np.float32) * np.clip(1.0 + 0.2 * self._near, 0.2, 2.0)
+            self._near = self._flesh()
+        cover = hidden.astype(np.float32)
+        edge = cv2.GaussianBlur(cover, (0, 0), self._size[0] / 250)[..., None]
+        # It is round: towards its edges less light comes back.
+        lit = 1.0 - EDGE_DARK * (1.0 - cv2.GaussianBlur(cover, (0, 0), self._size[0] / 22)[..., None])
+        flesh = np.float32(np.quantile(light, 0.7)) * lit * self._near
         return np.asarray(light + edge * (flesh - light), np.float32)
+
+    def _flesh(self) -> Linear:
+        """``(height, width, 3)`` of tissue near the lens, against the light of the image: folds, and a wet shine."""
+        wide, fine, shine = (
+            cv2.resize(noise(SIZE_PX, scale, self._rng, octaves), self._size, interpolation=cv2.INTER_LINEAR)[..., None]
+            for scale, octaves in ((0.3, 4), (0.06, 2), (0.15, 3))
+        )
+        redness = np.clip(0.5 + 0.3 * wide, 0.0, 1.0)
+        colour = np.array(NEAR, np.float32) + redness * (np.array(NEAR_DARK, np.float32) - np.array(NEAR, np.float32))
+        folds = np.clip(1.0 + 0.25 * wide + 0.2 * fine, 0.2, 2.0)
+        return np.asarray(colour * folds + NEAR_SHINE * np.clip(shine - 1.3, 0.0, 1.0), np.float32)
 
     def over(self, light: Linear, time_s: float) -> Linear:
         """Linear light ``(height, width, 3)`` through smoke and blood."""

@@ -25,25 +25,31 @@ def video(
     overlay: Annotated[
         bool, typer.Option("--overlay", help="All trackers in one panel of the video, not side by side.")
     ] = False,
+    side_by_side: Annotated[
+        bool,
+        typer.Option("--side-by-side", help="What was observed comes first; masks are laid over, tips are dots."),
+    ] = False,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Default: folder 'video' in the first DIR.")] = None,
     fps: Annotated[float | None, typer.Option(min=0.1, max=240.0, help="Default: the recording's own.")] = None,
 ) -> None:
     """Draw what trackers estimated over what they saw: an MP4 and a contact sheet per unit.
 
     The reference mask's contour is green; each tracker's has a colour of its own. Videos are H.264 where the extra
-    ``video`` is installed.
+    ``video`` is installed. ``--side-by-side`` lays half transparent masks over the pictures, as articles do.
 
-    Example: surgbench video runs --row cmaes --unit 000-left
+    Example: surgbench video runs --side-by-side --row cmaes --row hybrid --unit 000-left
     """
     from surgbench.cli.progress import progress
-    from surgbench.errors import SurgbenchError
+    from surgbench.errors import ConfigError, SurgbenchError
     from surgbench.locks import sole_writer
     from surgbench.records.reader import read_records
     from surgbench.report.encoders import codec_note
     from surgbench.report.video_options import VideoOptions
     from surgbench.task import find_task
 
-    options = VideoOptions(tuple(unit or ()), tuple(row or ()), frames, samples, overlay, fps)
+    if overlay and side_by_side:
+        raise ConfigError("--overlay and --side-by-side: all trackers in one panel, or one each; give one of the two")
+    options = VideoOptions(tuple(unit or ()), tuple(row or ()), frames, samples, overlay, side_by_side, fps)
     records = read_records(directories)
     tasks = sorted({record.spec.task for record in records})
     if len(tasks) > 1:

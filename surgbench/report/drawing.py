@@ -31,6 +31,7 @@ ESTIMATE_COLOURS: tuple[Colour, ...] = (
     (255, 255, 255),
 )
 BACKGROUND_GREY, MASK_GREY = 26, 104
+TINT = 0.4  # share of the colour where a mask is laid over a picture
 PAPER: Colour = (255, 255, 255)
 INK: Colour = (20, 20, 20)
 
@@ -99,6 +100,28 @@ def draw_contours(
     polygons = [_fixed_point((polygon + 0.5 - origin) * scale - 0.5) for polygon in contours(mask)]
     if polygons:
         cv2.polylines(picture, polygons, True, colour, thickness, cv2.LINE_AA, _SHIFT)
+
+
+def tint(picture: Picture, mask: Mask, colour: Colour) -> None:
+    """Lay a mask over a picture, half transparent.
+
+    Args:
+        picture: Drawn into.
+        mask: ``(h, w)`` bool, of another size than the picture's where that shows it scaled.
+        colour: Of the mask.
+    """
+    height, width = picture.shape[:2]
+    cover = cv2.resize(mask.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR)[..., None] * TINT
+    picture[:] = np.rint(picture * (1.0 - cover) + cover * np.array(colour, np.float32)).astype(np.uint8)
+
+
+def draw_dots(picture: Picture, points: FloatArray, colour: Colour, radius: int) -> None:
+    """Draw dots with a dark rim, anti-aliased, at ``(n, 2)`` pixels of the picture; those far outside are left out."""
+    size = np.array([picture.shape[1], picture.shape[0]])
+    for point in points[(np.abs(points - size / 2) < size).all(axis=1)]:
+        centre = _fixed_point(point).tolist()
+        for wide, shade in ((radius + 1, INK), (radius, colour)):
+            cv2.circle(picture, centre, wide << _SHIFT, shade, cv2.FILLED, cv2.LINE_AA, _SHIFT)
 
 
 def draw_segments(picture: Picture, segments: FloatArray, colour: Colour, thickness: int) -> None:

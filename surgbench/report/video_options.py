@@ -17,6 +17,7 @@ class VideoOptions:
         columns: Columns of the contact sheet.
         samples: Draw the candidates of each iteration, too.
         overlay: Put all trackers into one panel of the video.
+        side_by_side: What was observed comes first, and masks are laid over the pictures, with tips and marked points.
         fps: Of the video; ``None`` for the recording's own.
     """
 
@@ -25,4 +26,5 @@ class VideoOptions:
     columns: int = SHEET_COLUMNS
     samples: bool = False
     overlay: bool = False
+    side_by_side: bool = False
     fps: float | None = None

@@ -8,16 +8,21 @@ import importlib
 import importlib.util
 import pkgutil
 import re
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
+from surgbench.contract import Observation
+from surgbench.geometry import FloatArray
 from surgbench.registry import create, find
-from surgbench.state import POSITION
-from surgbench.tasks.instrument.conformance.scenes import make_play
+from surgbench.state import POSITION, split_arms
+from surgbench.tasks.instrument.conformance.scenes import Play, make_play
 from surgbench.tasks.viewpoint.conformance.worlds import circling
 from surgbench.viewpoint.scores import course_errors
 from surgbench.viewpoint.simulator import Simulation, make_scene
@@ -191,3 +196,47 @@ def test_the_controller_in_a_document_sees_the_feature(tmp_path: Path) -> None:
     errors = course_errors(course, trial, scene)
     assert errors["vva_deg"].max() < 5
     assert errors["fd_mm"].max() < 5
+
+
+def spotted(play: Play, state: FloatArray) -> NDArray[np.uint8]:
+    """An image in which the instruments of a play are covered with grey spots that move with them."""
+    rng, camera = np.random.default_rng(7), play.scene.views[0].camera
+    picture = np.full((camera.height, camera.width), 60, np.uint8)
+    for instrument, arm in zip(play.scene.instruments, split_arms(state), strict=True):
+        transforms = instrument.link_transforms(arm)
+        for name, mesh in instrument.meshes.items():
+            T = transforms[instrument.link_index[name]]
+            corners = mesh.vertices_m[mesh.faces].clip(min=-0.06)
+            normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+            face = rng.choice(len(corners), 150, p=(size := np.linalg.norm(normals, axis=1)) / size.sum())
+            places = np.einsum("pc,pcx->px", rng.dirichlet(np.ones(3), 150), corners[face]) @ T[:3, :3].T + T[:3, 3]
+            shade = rng.integers(90, 255, 150)
+            for place, normal, grey in zip(places, normals[face] @ T[:3, :3].T, shade, strict=True):
+                if place @ normal < 0:
+                    centre = np.rint(camera.project(place) * 16).astype(int).tolist()
+                    cv2.circle(picture, centre, 24, int(grey), cv2.FILLED, cv2.LINE_AA, 4)
+    return np.repeat(cv2.GaussianBlur(picture, (0, 0), 0.7)[..., None], 3, axis=2)
+
+
+@pytest.mark.parametrize("arms", [1, 2])
+def test_the_tracker_that_looks_at_images_follows_them(arms: int) -> None:
+    play = make_play(arms=arms, frames=5)
+    tracker = create(find("tracker", f"{ROOT / 'docs/examples/flow.py'}:FlowTracker"), {})
+    tracker.reset(play.scene, play.truth[0], np.random.default_rng(0))
+
+    def with_image(frame: Observation) -> Observation:
+        view = frame.views[0]
+        # No mask: it does not need one.
+        return replace(frame, views=(replace(view, mask=np.zeros_like(view.mask), image=lambda: images[frame.index]),))
+
+    images = [spotted(play, state) for state in play.truth]
+    answers = [tracker.step(with_image(frame)) for frame in play.observations]
+    assert not any(answer.lost for answer in answers)
+    camera, instrument = play.scene.views[0].camera, play.scene.instruments[0]
+    began, ended, answered = (
+        camera.project(instrument.tips_cam(split_arms(state)))
+        for state in (play.truth[0], play.truth[-1], answers[-1].state)
+    )
+    off_px, moved_px = (np.linalg.norm(pixels - ended, axis=-1) for pixels in (answered, began))
+    assert (off_px < 0.25 * moved_px).all()
+    assert tracker.step(play.observations[-1]).lost, "there is no image"

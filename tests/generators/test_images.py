@@ -21,9 +21,10 @@ from surgbench.generators.looks.look import Look, draw_look
 from surgbench.generators.looks.markers import MARKERS, painted, with_markers, without_markers
 from surgbench.generators.looks.optics import Optics, compressed, defocused
 from surgbench.generators.looks.patterns import noise, threshold
+from surgbench.generators.looks.pictures import PictureWriter
 from surgbench.generators.looks.scene import PictureRenderer
 from surgbench.generators.looks.sections import Images, LookRanges, Stereo
-from surgbench.generators.looks.sequence import EYE, eye_pose, steps
+from surgbench.generators.looks.sequence import EYE, SequenceLook, eye_pose, steps
 from surgbench.generators.looks.surface import link_surface
 from surgbench.generators.looks.variants import loads, pick
 from surgbench.generators.observations import lagged
@@ -34,6 +35,7 @@ from surgbench.instrument import Instrument, load_instrument, save_instrument
 from surgbench.instrument.model import LinkMesh
 from surgbench.state import BETA
 from surgbench.tasks.instrument.dataset import InstrumentDataset
+from surgbench.tasks.instrument.format import IMAGE_KIND, observed_path
 
 SMALL = Camera(width=96, height=72, fx=124.0, fy=122.5, cx=42.3, cy=35.1)
 # Nothing is drawn: every range is one value, and the lens and the sensor do nothing.
@@ -78,6 +80,12 @@ def look(**ranges: Any) -> Look:
 
 def contents(folder: Path) -> dict[str, bytes]:
     return {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def decoded(png: bytes) -> NDArray[np.uint8]:
+    """RGB."""
+    picture: Any = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
+    return np.asarray(picture[..., ::-1], np.uint8)
 
 
 def rendered(instrument: Instrument) -> NDArray[np.float32]:
@@ -388,6 +396,44 @@ def test_smoke_and_blood_are_seen(name: str) -> None:
     else:
         redder = images[1][..., 0] / (images[1][..., 1] + 1.0) - images[0][..., 0] / (images[0][..., 1] + 1.0)
         assert (redder > 0.5).mean() > 0.4
+
+
+def test_tissue_in_front_hides_what_is_behind_it_and_nothing_else() -> None:
+    rng, hidden = np.random.default_rng(0), np.zeros((SMALL.height, SMALL.width), bool)
+    hidden[20:50, 30:70] = True
+    light = rng.uniform(0.1, 0.9, (*hidden.shape, 3)).astype(np.float32)
+    other = light.copy()
+    other[hidden] = rng.permutation(light[hidden])  # as bright, so that the tissue is too
+    depth = np.full(hidden.shape, 0.14)
+    optics = Optics(SMALL, look(), jpeg=False)
+    bare, one, two = (
+        optics.image(part, depth, 0.0, rng, cover).astype(int)
+        for part, cover in ((light, None), (light, hidden), (other, hidden))
+    )
+    within = cv2.erode(hidden.astype(np.uint8), np.ones((5, 5))).astype(bool)
+    beyond = cv2.dilate(hidden.astype(np.uint8), np.ones((5, 5))) == 0
+    assert np.abs(one[within] - two[within]).max() <= 1
+    assert np.array_equal(one[beyond], bare[beyond])
+    assert (one[within, 0] > one[within, 1] + 20).all(), "tissue is red"
+    # Round: the middle is brighter than the rim.
+    rim = within & (cv2.erode(hidden.astype(np.uint8), np.ones((9, 9))) == 0)
+    assert one[33:37, 45:55].mean() > 1.1 * one[rim].mean()
+
+
+def test_a_third_tool_is_seen_where_its_mask_is(instrument: Instrument) -> None:
+    images = Images(samples=1, variant="scalar_rgb", look=LookRanges(**PLAIN))
+    sequence = SequenceLook(look(), STATES, np.zeros((1, 2, 9)), 0.2, None)
+    writer = PictureWriter(images, "scalar_rgb", instrument, SMALL, 1 / 30, 0, third=True)
+    third = np.array([0.1, 0.3, 1.5, 0.0, 0.004, 0.08, 0.1, 0.1, 0.3])
+    without, seen = (
+        decoded(writer.files("000", 0, STATES, sequence, state)[observed_path("000", IMAGE_KIND, 0)])
+        for state in (None, third)
+    )
+    mask = MaskRenderer([instrument], SMALL).mask(third)
+    changed = np.abs(seen.astype(int) - without).max(axis=2) > 3
+    assert changed[mask].mean() > 0.8
+    # Beyond it there are its shadow and its reflections.
+    assert changed[~mask].mean() < 0.5 * changed[mask].mean()
 
 
 def test_compression_loses_more_the_worse_its_quality() -> None:

@@ -22,7 +22,7 @@ from surgbench.dataset.manifest import observations_path
 from surgbench.dataset.masks import encode_image, encode_mask
 from surgbench.dataset.open import open_as
 from surgbench.dataset.tables import encode_table
-from surgbench.errors import DatasetError, NotFoundError, SurgbenchError
+from surgbench.errors import ConfigError, DatasetError, NotFoundError, SurgbenchError
 from surgbench.files import sha256_file
 from surgbench.instrument import Instrument, load_instrument, save_instrument
 from surgbench.instrument.spec import LinkPoint
@@ -31,10 +31,12 @@ from surgbench.report.drawing import (
     ESTIMATE_COLOURS,
     MASK_GREY,
     REFERENCE_COLOUR,
+    TINT,
     Picture,
     clip_segment,
     contours,
     draw_contours,
+    draw_dots,
     fit_text,
     legend,
     strip,
@@ -216,6 +218,64 @@ def test_overlay_has_all_trackers_in_one_panel(dataset: InstrumentDataset, runs:
     assert over.shape[1] == CAMERA.width
     for shot in shots:
         assert has_colour(over, shot.colour)
+
+
+def test_side_by_side_shows_what_was_observed_before_the_trackers(tmp_path: Path, runs: Path) -> None:
+    image = strip(CAMERA.width, CAMERA.height, (10, 60, 200))
+    dataset = make_dataset(tmp_path / "coloured", image=image)
+    records = read_records_of(InstrumentRecord, [runs])
+    scenery, shots = Scenery(dataset, records[0]), make_shots(records)
+    plain, picture = (compose_frame(scenery, shots, 0, side_by_side=asked) for asked in (False, True))
+    assert (plain.shape[1] - 4) // 2 == (picture.shape[1] - 8) // 3 == CAMERA.width
+    head = picture.shape[0] - CAMERA.height
+    row, places = head + 34, (50, CAMERA.width + 4 + 50, 2 * (CAMERA.width + 4) + 70)
+    for column, colour in zip(places, (REFERENCE_COLOUR, shots[0].colour, shots[1].colour), strict=True):
+        laid = TINT * np.array(colour) + (1 - TINT) * np.array([10, 60, 200])
+        assert np.abs(picture[row, column + 6] - laid).max() <= 1
+        assert picture[row, column - 45].tolist() == [10, 60, 200]
+    assert picture[head:, -CAMERA.width :].tolist() != plain[head:, -CAMERA.width :].tolist()
+
+
+def test_side_by_side_has_dots_at_tips(dataset: InstrumentDataset, runs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    records, scenery = records_and_scenery(dataset, runs)
+    (shot, _) = make_shots(records)
+    state = shot.state(0)
+    assert state is not None
+    for tip in scenery.tips(state, 0):
+        panel = scenery.panel(0, [shot], 4.0, filled=True)
+        u, v = np.rint((tip + 0.5) * 4.0 - 0.5).astype(int)
+        assert is_near(panel[v, u], shot.colour, 5)
+    assert scenery.points(0).shape == (0, 2)
+    seen = np.array([[[15.0, 60.0], [np.nan, np.nan]]] * FRAMES)
+    monkeypatch.setattr(scenery.recording, "keypoints", lambda arm: seen)
+    panel = scenery.panel(0, [], 4.0, filled=True)
+    assert is_near(panel[round(60.5 * 4 - 0.5), round(15.5 * 4 - 0.5)], REFERENCE_COLOUR, 5)
+    assert scenery.points(0).tolist() == [[15.0, 60.0]]
+
+
+def test_sheet_side_by_side_has_one_row_more(dataset: InstrumentDataset, runs: Path) -> None:
+    records, scenery = records_and_scenery(dataset, runs)
+    plain = contact_sheet(scenery, make_shots(records), [0, 1])
+    more = contact_sheet(scenery, make_shots(records), [0, 1], side_by_side=True)
+    panel = scenery.window([0, 1]).height * 2  # enlarged as much as may be
+    assert more.shape[0] - plain.shape[0] >= panel
+    assert has_colour(more, REFERENCE_COLOUR)
+
+
+def test_dots_far_outside_are_left_out() -> None:
+    picture = strip(40, 30, (0, 0, 0))
+    draw_dots(picture, np.array([[1e12, 0.0], [-1e9, 5.0], [20.0, 10.0]]), (255, 0, 0), 3)
+    assert picture[10, 20].tolist() == [255, 0, 0]
+    assert np.abs(picture.astype(int) - (0, 0, 0)).max(axis=-1)[:, :14].max() == 0
+
+
+def test_overlay_and_side_by_side_are_two_ways(runs: Path) -> None:
+    app = Typer()
+    app.command()(video)
+    result = CliRunner().invoke(app, [str(runs), "--overlay", "--side-by-side"])
+    assert isinstance(result.exception, ConfigError)
+    assert "--overlay and --side-by-side" in str(result.exception)
+    assert not (runs / "video").exists()
 
 
 def test_sheet_has_a_row_per_tracker_and_a_column_per_frame(dataset: InstrumentDataset, runs: Path) -> None:

@@ -10,8 +10,10 @@ import numpy as np
 
 from surgbench.camera.change_of_view import ChangeOfView
 from surgbench.contract import Mask
+from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument
-from surgbench.report.drawing import REFERENCE_COLOUR, Colour, Picture, draw_contours, grey, scaled
+from surgbench.report.drawing import REFERENCE_COLOUR, Colour, Picture, draw_contours, draw_dots, grey, scaled, tint
+from surgbench.state import split_arms
 from surgbench.tasks.instrument.dataset import InstrumentDataset
 from surgbench.tasks.instrument.dataset import Sequence as Recording
 from surgbench.tasks.instrument.records import InstrumentRecord
@@ -72,8 +74,9 @@ class Scenery:
         spec = record.spec
         self.recording: Recording = dataset.sequence(spec.sequence)
         self.kind = spec.mask_kind
-        arms = [arm for arm in self.recording.arms if arm in spec.arms]
-        self.instruments: list[Instrument] = [dataset.instrument(self.recording.entry.instruments[arm]) for arm in arms]
+        self._arms = [arm for arm in self.recording.arms if arm in spec.arms]
+        named = self.recording.entry.instruments
+        self.instruments: list[Instrument] = [dataset.instrument(named[arm]) for arm in self._arms]
         self._auxiliary = None if view is None else self.recording.auxiliary(view)
         self.camera = self.recording.camera if self._auxiliary is None else self._auxiliary.camera
         self._evaluator: SilhouetteEvaluator = SilhouetteEvaluator(self.instruments, self.camera)
@@ -92,10 +95,33 @@ class Scenery:
         image = None if self._auxiliary is not None else self.recording.image(frame)
         return grey(self.reference(frame)) if image is None else image
 
+    def points(self, frame: int) -> FloatArray:
+        """``(n, 2)`` pixels of what was seen of tips, and of the points that somebody marked."""
+        seen = []
+        for arm in self._arms:
+            if self._auxiliary is not None:
+                seen.append(self._auxiliary.keypoints(self.kind, arm)[frame])
+                continue
+            seen.append(self.recording.keypoints(arm)[frame])
+            seen += [marked[frame][None] for marked in self.recording.labels(arm).values()]
+        found = np.concatenate(seen)
+        return found[np.isfinite(found).all(axis=1)]
+
+    def tips(self, state: list[float], frame: int) -> FloatArray:
+        """``(n, 2)`` pixels of an estimate's tips that are before the camera."""
+        arms = split_arms(self._seen_from_here(state, frame))
+        tips = [instrument.tips_cam(arm) for instrument, arm in zip(self.instruments, arms, strict=True)]
+        pixels = self.camera.project(np.concatenate(tips))
+        return pixels[np.isfinite(pixels).all(axis=1)]
+
     def silhouette(self, state: list[float], frame: int) -> Mask:
         """What an estimate covers; in an auxiliary view, where that is reported to be."""
+        return self._evaluator.mask(self._seen_from_here(state, frame))
+
+    def _seen_from_here(self, state: list[float], frame: int) -> FloatArray:
         T_view_cam = np.eye(4) if self._auxiliary is None else self._auxiliary.T_view_cam(self.kind)[frame]
-        return self._evaluator.mask(ChangeOfView(T_view_cam).states(np.array(state, dtype=np.float64)))
+        seen: FloatArray = ChangeOfView(T_view_cam).states(np.array(state, dtype=np.float64))
+        return seen
 
     @property
     def whole(self) -> Window:
@@ -114,24 +140,46 @@ class Scenery:
         bottom = min(self.camera.height, int(rows[-1]) + 1 + margin)
         return Window(left, top, right - left, bottom - top)
 
-    def panel(self, frame: int, shots: Sequence[Shot], scale: float, window: Window | None = None) -> Picture:
+    def panel(
+        self, frame: int, shots: Sequence[Shot], scale: float, window: Window | None = None, *, filled: bool = False
+    ) -> Picture:
         """One frame with the reference's contour (green, broad) and the estimates' over it (their colours, thin).
+
+        Filled, the estimates are laid over the picture half transparent, with dots at their tips, and only the outline
+        of the reference is below them; with no estimate the reference itself is, with dots at what was seen of tips.
 
         Args:
             frame: Which.
             shots: Whose estimates.
             scale: Pixels of the panel per pixel of the recording.
             window: The part to show; the whole unless told.
+            filled: Whether masks are laid over the picture, and points drawn.
         """
         left, top, width, height = window or self.whole
-        picture = scaled(self.ground(frame)[top : top + height, left : left + width], scale)
-        thickness = max(2, round(picture.shape[1] / 400))
-        draw_contours(picture, self.reference(frame), REFERENCE_COLOUR, thickness + 2, scale, (left, top))
+        part = np.s_[top : top + height, left : left + width]
+        picture = scaled(self.ground(frame)[part], scale)
+        # Where masks are laid over, thin lines will do.
+        thickness = max(1, round(picture.shape[1] / 600)) if filled else max(2, round(picture.shape[1] / 400))
+        broad = thickness if filled else thickness + 2
+        reference = self.reference(frame)
+        if filled and not shots:
+            tint(picture, reference[part], REFERENCE_COLOUR)
+        draw_contours(picture, reference, REFERENCE_COLOUR, broad, scale, (left, top))
+        if filled and not shots:
+            self._dot(picture, self.points(frame), REFERENCE_COLOUR, scale, (left, top))
         for shot in shots:
             state = shot.state(frame)
             if state is not None:
-                draw_contours(picture, self.silhouette(state, frame), shot.colour, thickness, scale, (left, top))
+                silhouette = self.silhouette(state, frame)
+                if filled:
+                    tint(picture, silhouette[part], shot.colour)
+                draw_contours(picture, silhouette, shot.colour, thickness, scale, (left, top))
+                if filled:
+                    self._dot(picture, self.tips(state, frame), shot.colour, scale, (left, top))
         return picture
+
+    def _dot(self, picture: Picture, pixels: FloatArray, colour: Colour, scale: float, origin: tuple[int, int]) -> None:
+        draw_dots(picture, (pixels + 0.5 - origin) * scale - 0.5, colour, max(3, round(picture.shape[1] / 200)))
 
 
 SHEET_MARGIN = 0.06

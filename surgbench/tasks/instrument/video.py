@@ -43,6 +43,7 @@ SHEET_LARGEST_SCALE = 2.0
 SHEET_COLUMNS = 5
 SAMPLE_FRAMES = 3
 TITLE_PX, SMALL_PX = 13, 11
+OBSERVED = "observed"
 _GAP = 4
 
 
@@ -53,7 +54,9 @@ def _error_text(shot: Shot, frame: int) -> str:
     return "" if error is None else f"mask error {error:.3f}"
 
 
-def compose_frame(scenery: Scenery, shots: Sequence[Shot], frame: int, overlay: bool = False) -> Picture:
+def compose_frame(
+    scenery: Scenery, shots: Sequence[Shot], frame: int, overlay: bool = False, side_by_side: bool = False
+) -> Picture:
     """One frame of the video: a panel per tracker with its title, or all trackers in one panel.
 
     Args:
@@ -61,16 +64,19 @@ def compose_frame(scenery: Scenery, shots: Sequence[Shot], frame: int, overlay: 
         shots: The trackers.
         frame: Which frame.
         overlay: All in one panel, with a legend.
+        side_by_side: What was observed in a panel before theirs, and all masks laid over the pictures.
 
     Returns:
         A picture of even width and height (video codecs want that), the same size for every frame.
     """
     groups = [list(shots)] if overlay else [[shot] for shot in shots]
+    if side_by_side:
+        groups.insert(0, [])
     across = len(groups) if len(groups) <= 3 else math.ceil(math.sqrt(len(groups)))
     scale = min(1.0, (VIDEO_WIDTH / across - _GAP) / scenery.camera.width)
     panels = []
     for group in groups:
-        panel = scenery.panel(frame, group, scale)
+        panel = scenery.panel(frame, group, scale, filled=side_by_side)
         width = panel.shape[1]
         if overlay:
             title = f"{scenery.recording.id}   frame {frame}"
@@ -80,7 +86,8 @@ def compose_frame(scenery: Scenery, shots: Sequence[Shot], frame: int, overlay: 
             foot = below([legend([entry], width, SMALL_PX) for entry in entries])
             panels.append(below([heading(title, width, TITLE_PX), panel, foot]))
         else:
-            title = f"{group[0].title}   frame {frame}   {_error_text(group[0], frame)}"
+            who, note = (group[0].title, _error_text(group[0], frame)) if group else (OBSERVED, scenery.recording.id)
+            title = f"{who}   frame {frame}   {note}"
             panels.append(below([heading(title, width, TITLE_PX), panel]))
     blank = strip(panels[0].shape[1], panels[0].shape[0])
     panels += [blank] * (-len(panels) % across)
@@ -89,31 +96,36 @@ def compose_frame(scenery: Scenery, shots: Sequence[Shot], frame: int, overlay: 
     return np.pad(picture, odd, constant_values=PAPER[0])
 
 
-def contact_sheet(scenery: Scenery, shots: Sequence[Shot], frames: Sequence[int]) -> Picture:
+def contact_sheet(
+    scenery: Scenery, shots: Sequence[Shot], frames: Sequence[int], side_by_side: bool = False
+) -> Picture:
     """Frames as columns, trackers as rows, with labels and a legend; cropped to where the instruments are.
 
     Args:
         scenery: The unit.
         shots: The trackers, one row each.
         frames: Frame numbers, one column each.
+        side_by_side: What was observed in a row above theirs, and all masks laid over the pictures.
     """
     window = scenery.window(frames)
     scale = min(SHEET_LARGEST_SCALE, SHEET_PANEL_WIDTH / window.width)
     rows: list[Picture] = []
-    for shot in shots:
+    for shot in (None, *shots) if side_by_side else shots:
         panels = []
         for frame in frames:
-            panel = scenery.panel(frame, [shot], scale, window)
+            panel = scenery.panel(frame, [] if shot is None else [shot], scale, window, filled=side_by_side)
             # Records have mask errors in the endoscope's view alone.
-            if not scenery.is_auxiliary:
+            if shot is not None and not scenery.is_auxiliary:
                 write_note(panel, _error_text(shot, frame), SMALL_PX)
             panels.append(panel)
         height, width = panels[0].shape[:2]
-        rows.append(beside([side_label(shot.title, height, TITLE_PX), beside(panels, _GAP)]))
+        label = OBSERVED if shot is None else shot.title
+        rows.append(beside([side_label(label, height, TITLE_PX), beside(panels, _GAP)]))
     heads = beside([heading(f"frame {frame}", width, TITLE_PX) for frame in frames], _GAP)
     side = rows[0].shape[1] - heads.shape[1]
     top = beside([strip(side, heads.shape[0]), heads])
-    entries = [("reference mask, as the trackers saw it", REFERENCE_COLOUR)]
+    seen = "mask, tips and marked points in the data" if side_by_side else "reference mask, as the trackers saw it"
+    entries = [(seen, REFERENCE_COLOUR)]
     entries += [(f"estimate: {shot.title}", shot.colour) for shot in shots]
     return below([top, below(rows, _GAP), legend(entries, top.shape[1], TITLE_PX)])
 
@@ -235,18 +247,19 @@ def draw(
 
     def pictures() -> Iterable[Picture]:
         for frame in range(total):
-            yield compose_frame(scenery, shots, frame, options.overlay)
+            yield compose_frame(scenery, shots, frame, options.overlay, options.side_by_side)
             advance(1)
 
     video, sheet, samples = (out / f"{job.name}{ending}" for ending in (".mp4", ".png", "-samples.png"))
     write_video(video, pictures(), options.fps or 1.0 / scenery.recording.dt_s)
     written = [video, sheet]
-    save_png(sheet, contact_sheet(scenery, shots, spread_frames(total, options.columns)))
+    columns = spread_frames(total, options.columns)
+    save_png(sheet, contact_sheet(scenery, shots, columns, options.side_by_side))
     for view in sorted({record.spec.view for record in job.records if record.spec.view is not None}):
         seen = [shot for shot in shots if shot.record.spec.view == view]
         of_view = Scenery(job.dataset, job.records[0], view)
         written.append(out / f"{job.name}-{view}.png")
-        save_png(written[-1], contact_sheet(of_view, seen, spread_frames(total, options.columns)))
+        save_png(written[-1], contact_sheet(of_view, seen, columns, options.side_by_side))
     if not options.samples:
         return written
     frames = spread_frames(total, min(SAMPLE_FRAMES, options.columns))
