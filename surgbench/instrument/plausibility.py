@@ -127,12 +127,17 @@ def distance_to_body(mesh: LinkMesh, point: FloatArray) -> float:
 
 
 def winding_number(mesh: LinkMesh, point: FloatArray) -> float:
-    """How many of a mesh's closed parts hold a point, which is not on the surface.
+    """How many of a mesh's closed parts hold a point, which is not on the surface; see :func:`winding_numbers`."""
+    return float(winding_numbers(mesh, point[None])[0])
+
+
+def winding_numbers(mesh: LinkMesh, points: FloatArray) -> FloatArray:
+    """How many of a mesh's closed parts hold each of ``(n, 3)`` points, none of which is on the surface.
 
     The solid angle that the faces fill over 4 pi (van Oosterom and Strackee, 1983).
     """
-    a, b, c = np.moveaxis(mesh.vertices_m[mesh.faces] - point, 1, 0)
-    la, lb, lc = (np.linalg.norm(corner, axis=1) for corner in (a, b, c))
-    triple = np.einsum("ij,ij->i", a, np.cross(b, c))
-    dots = (a * b).sum(1) * lc + (b * c).sum(1) * la + (c * a).sum(1) * lb
-    return float(2 * np.arctan2(triple, la * lb * lc + dots).sum() / (4 * np.pi))
+    a, b, c = np.moveaxis(mesh.vertices_m[mesh.faces] - points[:, None, None], 2, 0)
+    la, lb, lc = (np.sqrt((corner**2).sum(axis=-1)) for corner in (a, b, c))
+    triple = (a * np.cross(b, c)).sum(axis=-1)
+    dots = (a * b).sum(-1) * lc + (b * c).sum(-1) * la + (c * a).sum(-1) * lb
+    return np.asarray(2 * np.arctan2(triple, la * lb * lc + dots).sum(axis=-1) / (4 * np.pi))

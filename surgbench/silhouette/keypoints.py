@@ -13,20 +13,25 @@ from surgbench.camera import NEAR_M, Camera
 from surgbench.compiled import compiled
 from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument
+from surgbench.instrument.spec import LinkPoint
 from surgbench.silhouette.boundary import map_links, pull_back, push
 from surgbench.silhouette.contour import place_links
 from surgbench.silhouette.layout import assemble_links, lens
 from surgbench.state import STATE_SIZE
 
-TIPS = 2
-
 
 class KeypointProjector:
     """Projects the two tips of each arm for many states at once, and pulls derivatives back to the states.
 
+    Or other points fixed to links: P of each arm.
+
     Args:
         instruments: One per arm; states have ``9 * len(instruments)`` components.
         camera: The view.
+        points: Of each arm, P in place of its tips.
+
+    Raises:
+        ValueError: Arms differ in how many points they have.
 
     Example:
         Straight ahead, the closed jaws' tips are 0.4 mm to both sides of the axis, 148.1 mm away.
@@ -42,14 +47,22 @@ class KeypointProjector:
                  [80.  , 59.46]]]])
     """
 
-    def __init__(self, instruments: Sequence[Instrument], camera: Camera) -> None:
+    def __init__(
+        self,
+        instruments: Sequence[Instrument],
+        camera: Camera,
+        points: Sequence[Sequence[LinkPoint]] | None = None,
+    ) -> None:
         self.instruments = tuple(instruments)
         self.camera = camera
+        self.points = tuple(tuple(one) for one in points or [each.spec.tips for each in instruments])
+        if len({len(one) for one in self.points}) != 1 or len(self.points) != len(self.instruments):
+            raise ValueError(f"as many points of every arm, not {[len(one) for one in self.points]}")
         self._arms = len(instruments)
         self._links = assemble_links(instruments)
         self._lens = lens(camera, NEAR_M)
         first = np.cumsum([0, *(len(instrument.spec.links) for instrument in instruments)])
-        tips = [(arm, tip) for arm, instrument in enumerate(instruments) for tip in instrument.spec.tips]
+        tips = [(arm, tip) for arm, own in enumerate(self.points) for tip in own]
         self._tip_link = np.array([first[arm] + instruments[arm].link_index[tip.link] for arm, tip in tips])
         self._tip = np.array([tip.point_m for _, tip in tips], dtype=np.float64)
         self._lock = threading.Lock()
@@ -58,7 +71,7 @@ class KeypointProjector:
         self._maps = np.zeros((len(self._links.parent), STATE_SIZE, 6))
 
     def __reduce__(self) -> tuple[type, tuple[Any, ...]]:
-        return type(self), (self.instruments, self.camera)
+        return type(self), (self.instruments, self.camera, self.points)
 
     def _batch(self, states: ArrayLike) -> FloatArray:
         batch = np.array(states, dtype=np.float64, order="C")
@@ -67,7 +80,7 @@ class KeypointProjector:
         return batch
 
     def project(self, states: ArrayLike) -> FloatArray:
-        """Tips of ``(N, 9 * arms)`` states, ``(N, arms, 2, 2)`` pixels; NaN for tips at or behind the camera plane.
+        """Points of ``(N, 9 * arms)`` states, ``(N, arms, P, 2)`` pixels; NaN at or behind the camera plane.
 
         Raises:
             ValueError: Wrong shape.
@@ -76,25 +89,26 @@ class KeypointProjector:
         places = np.empty((len(batch), len(self._tip), 2))
         with self._lock:
             _project(batch, self._links, self._lens, self._tip_link, self._tip, self._pose, places)
-        return places.reshape(len(batch), self._arms, TIPS, 2)
+        return places.reshape(len(batch), self._arms, -1, 2)
 
     def pull_back(self, states: ArrayLike, slopes: ArrayLike) -> FloatArray:
-        """Derivative with respect to the states of a function of the projected tips (the chain rule).
+        """Derivative with respect to the states of a function of the projected points (the chain rule).
 
         Args:
             states: ``(N, 9 * arms)``.
-            slopes: ``(N, arms, 2, 2)`` derivative of the function with respect to each tip's pixel.
+            slopes: ``(N, arms, P, 2)`` derivative of the function with respect to each point's pixel.
 
         Returns:
-            ``(N, 9 * arms)``; tips behind the camera plane contribute nothing.
+            ``(N, 9 * arms)``; points behind the camera plane contribute nothing.
 
         Raises:
             ValueError: Wrong shape.
         """
         batch = self._batch(states)
         forces = np.array(slopes, dtype=np.float64, order="C")
-        if forces.shape != (len(batch), self._arms, TIPS, 2):
-            raise ValueError(f"slopes must be ({len(batch)}, {self._arms}, {TIPS}, 2), got {forces.shape}")
+        expected = (len(batch), self._arms, len(self.points[0]), 2)
+        if forces.shape != expected:
+            raise ValueError(f"slopes must be {expected}, got {forces.shape}")
         result = np.empty_like(batch)
         scratch = self._pose, self._wrench, self._maps
         forces = forces.reshape(len(batch), -1, 2)

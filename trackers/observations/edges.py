@@ -1,8 +1,10 @@
-"""Finds the two straight edges of a shaft in a mask, near where they are expected."""
+"""Finds the straight edges of a shaft near where they are expected: what all pictures have in common, and masks."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,11 +36,27 @@ class Gate:
 
 
 @dataclass(frozen=True)
-class _Window:
-    """Rows (or columns, of the transposed mask) in which the shaft is expected."""
+class Window:
+    """Rows (or columns, of the transposed picture) in which the shaft is expected.
 
+    Attributes:
+        steep: Rows; else the picture is transposed.
+        lines: ``(n,)`` their numbers.
+        expected: ``(n,)`` where the edge is expected in each.
+        rising: The instrument is expected where columns (or rows) are less.
+        reach_px: How far to look on either side.
+    """
+
+    steep: bool
     lines: NDArray[np.int64]
     expected: FloatArray
+    rising: bool
+    reach_px: float
+
+
+# The rows (or columns) of all places that may be of an edge, their offsets from where it is expected, and how much each
+# counts, if not the same. A row may have any number of them.
+Transitions = Callable[[Window], tuple[FloatArray, FloatArray, FloatArray | None]]
 
 
 def detect_edges(mask: Mask, expected: FloatArray, span_px: FloatArray, gate: Gate) -> FloatArray:
@@ -57,10 +75,25 @@ def detect_edges(mask: Mask, expected: FloatArray, span_px: FloatArray, gate: Ga
     Returns:
         ``(found, 3)`` lines n_u, n_v, rho with n away from the shaft; 0, 1 or 2 of them.
     """
+    return find_edges(mask.shape, expected, span_px, gate, partial(_transitions, mask))
+
+
+def find_edges(
+    shape: tuple[int, ...], expected: FloatArray, span_px: FloatArray, gate: Gate, transitions: Transitions
+) -> FloatArray:
+    """The shaft's edges in a picture: the lines that most places in a row support.
+
+    Args:
+        shape: Height and width.
+        expected: As of :func:`detect_edges`, as are the next two, and the answer.
+        span_px: See there.
+        gate: Where to look.
+        transitions: Finds places that may be of an edge.
+    """
     if not np.isfinite(expected).all() or not np.isfinite(span_px).all():
         return np.empty((0, 3))
-    found = [line for line in (_detect(mask, edge, span_px, gate) for edge in expected) if line is not None]
-    return np.array(found).reshape(-1, 3)
+    lines = (_detect(shape, edge, span_px, gate, transitions) for edge in expected)
+    return np.array([line for line in lines if line is not None]).reshape(-1, 3)
 
 
 def expected_edges(
@@ -88,17 +121,19 @@ def expected_edges(
     return cylinder_edges(point, direction, shaft.radius_m, camera), camera.project(np.stack([front, rear]))
 
 
-def _detect(mask: Mask, edge: FloatArray, span_px: FloatArray, gate: Gate) -> FloatArray | None:
-    steep = abs(edge[0]) >= abs(edge[1])
-    # Columns of the mask are rows of the transposed one: below, an edge crosses every row once.
-    image, across, along = (mask, 0, 1) if steep else (mask.T, 1, 0)
-    low, high = np.sort(np.clip(span_px[:, along], -1.0, len(image)))
-    lines = np.arange(int(np.ceil(max(low, 0.0))), int(np.floor(min(high, len(image) - 1.0))) + 1)
+def _detect(
+    shape: tuple[int, ...], edge: FloatArray, span_px: FloatArray, gate: Gate, transitions: Transitions
+) -> FloatArray | None:
+    steep = bool(abs(edge[0]) >= abs(edge[1]))
+    # Columns of the picture are rows of the transposed one: below, an edge crosses every row once.
+    count, across, along = (shape[0], 0, 1) if steep else (shape[1], 1, 0)
+    low, high = np.sort(np.clip(span_px[:, along], -1.0, count))
+    lines = np.arange(int(np.ceil(max(low, 0.0))), int(np.floor(min(high, count - 1.0))) + 1)
     if len(lines) < gate.least_points:
         return None
-    window = _Window(lines, (edge[2] - edge[along] * lines) / edge[across])
-    rows, offsets = _transitions(image, window, edge[across] > 0, gate.offset_px)
-    fit = _fit(rows - lines.mean(), offsets, gate, len(lines))
+    expected = (edge[2] - edge[along] * lines) / edge[across]
+    rows, offsets, weights = transitions(Window(steep, lines, expected, bool(edge[across] > 0), gate.offset_px))
+    fit = _fit(rows - lines.mean(), offsets, weights, gate, len(lines))
     if fit is None:
         return None
     # expected + offset + slope * (row - mean row), as a line of the image
@@ -109,21 +144,24 @@ def _detect(mask: Mask, edge: FloatArray, span_px: FloatArray, gate: Gate) -> Fl
     return np.asarray(normal * (np.sign(edge[across]) / np.hypot(1.0, slope)))
 
 
-def _transitions(image: Mask, window: _Window, rising: bool, reach_px: float) -> tuple[FloatArray, FloatArray]:
+def _transitions(mask: Mask, window: Window) -> tuple[FloatArray, FloatArray, None]:
     """Rows of all places where the instrument ends towards the edge's outer side, and their offsets from it."""
-    reach = int(np.ceil(reach_px))
+    image = mask if window.steep else mask.T
+    reach = int(np.ceil(window.reach_px))
     centre = np.floor(np.clip(window.expected, -reach - 2.0, image.shape[1] + reach + 2.0)).astype(np.int64)
     columns = centre[:, None] + np.arange(-reach, reach + 2)
     seen = (columns >= 0) & (columns < image.shape[1])
     inside = image[window.lines[:, None], np.clip(columns, 0, image.shape[1] - 1)]
     # The image's border is no edge: both pixels must be seen.
-    here, there = (inside[:, :-1], inside[:, 1:]) if rising else (inside[:, 1:], inside[:, :-1])
+    here, there = (inside[:, :-1], inside[:, 1:]) if window.rising else (inside[:, 1:], inside[:, :-1])
     row, column = np.nonzero(here & ~there & seen[:, :-1] & seen[:, 1:])
-    return window.lines[row].astype(np.float64), columns[row, column] + 0.5 - window.expected[row]
+    return window.lines[row].astype(np.float64), columns[row, column] + 0.5 - window.expected[row], None
 
 
-def _fit(rows: FloatArray, offsets: FloatArray, gate: Gate, length: int) -> tuple[float, float] | None:
-    """Offset and slope of the line with the best support, or ``None``."""
+def _fit(
+    rows: FloatArray, offsets: FloatArray, counts: FloatArray | None, gate: Gate, length: int
+) -> tuple[float, float] | None:
+    """Offset and slope of the line with the best support, or ``None``; places may count differently."""
     if len(rows) < gate.least_points:
         return None
     # Neighbouring slopes differ by one bin at the ends.
@@ -134,7 +172,8 @@ def _fit(rows: FloatArray, offsets: FloatArray, gate: Gate, length: int) -> tupl
     width = 2 * half + 1
     kept = (bins >= 0) & (bins < width)
     flat = (bins + width * np.arange(len(slopes))[:, None])[kept]
-    votes = np.bincount(flat, minlength=width * len(slopes)).reshape(len(slopes), width).astype(np.float64)
+    each = None if counts is None else np.broadcast_to(counts, bins.shape)[kept]
+    votes = np.bincount(flat, each, minlength=width * len(slopes)).reshape(len(slopes), width).astype(np.float64)
     votes[:, 1:-1] = 0.5 * votes[:, :-2] + votes[:, 1:-1] + 0.5 * votes[:, 2:]
     places = (np.arange(width) - half) * BIN_PX
     near = np.exp(-0.5 * ((places / gate.offset_px) ** 2 + (slopes[:, None] / gate.slope) ** 2))
@@ -144,6 +183,8 @@ def _fit(rows: FloatArray, offsets: FloatArray, gate: Gate, length: int) -> tupl
     for reach in (2 * OUTLIER_PX, *([OUTLIER_PX] * REFINEMENTS)):
         residual = (offsets - offset - slope * rows) / reach
         weight = np.where(np.abs(residual) < 1, (1 - residual**2) ** 2, 0.0)
+        if counts is not None:
+            weight = weight * counts
         total = weight.sum()
         if np.count_nonzero(weight) < gate.least_points:
             return None

@@ -48,6 +48,27 @@ def point_costs(projected_px: FloatArray, detected_px: FloatArray, rate: float) 
     return np.asarray(rate * np.hypot(difference[..., 0], difference[..., 1]))
 
 
+def identified_likelihood(
+    projected_px: FloatArray, detected_px: FloatArray, rate: float, threshold: float
+) -> FloatArray:
+    """Likelihood of each particle, up to a factor, from points of which it is known which is which.
+
+    The sum of ``exp(-rate * distance)``; a point that would cost more than the threshold adds ``exp(-threshold)``.
+
+    Args:
+        projected_px: ``(particles, n, 2)``; NaN for points behind the camera.
+        detected_px: ``(n, 2)``.
+        rate: gamma, per pixel.
+        threshold: Cost beyond which a pair is none.
+
+    Returns:
+        ``(particles,)`` in (0, n].
+    """
+    difference = projected_px - detected_px
+    costs = rate * np.hypot(difference[..., 0], difference[..., 1])
+    return np.asarray(np.exp(-np.where(costs < threshold, costs, threshold)).sum(axis=1))
+
+
 def line_costs(projected: FloatArray, detected: FloatArray, rho_rate: float, theta_rate: float) -> FloatArray:
     """Costs ``rho_rate |d rho| + theta_rate |d theta|`` of lines ``n . (u, v) = rho`` with ``n = (cos, sin)(theta)``.
 

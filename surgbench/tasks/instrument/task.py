@@ -52,7 +52,7 @@ class InstrumentTask(Task):
     )
     first_check: ClassVar[str] = "plain sequence"
     may_refuse: ClassVar[tuple[str, ...]] = ("readings", "kinematics", "two arms", "masks of arms", "crossing arms")
-    aids: ClassVar[tuple[str, ...]] = ("kinematics",)
+    aids: ClassVar[tuple[str, ...]] = ("kinematics", "images of painted instruments")
 
     @property
     def manifest(self) -> type[InstrumentManifest]:
