@@ -12,9 +12,10 @@ from surgbench.geometry import FloatArray
 from surgbench.mask_sources import Prompts
 from surgbench.silhouette import SilhouetteEvaluator
 
-# Lengths in thicknesses of the predicted silhouette, that is of its shaft as a rule.
+# Lengths in thicknesses, which are those of shafts as a rule.
 GATE = 0.2  # what is nearer to the silhouette is not looked at as another instrument
-FAR = 1.2  # what is farther away is another instrument, even if it does not come from the picture's border
+FAR = 0.6  # what reaches farther away is another instrument, if it has a shaft
+FAR_TOO = 0.35  # and so is, where there is one, what reaches as far: its end on the silhouette's other side
 LEAST_GATE_PX = 6.0
 # Shares of the silhouette's area.
 LEAST_OTHER = 0.06  # that another instrument covers, which is to be cut off
@@ -22,6 +23,8 @@ LEAST_COVERED = 0.05  # that the mask covers, where the prediction is to be beli
 WELL_COVERED = 0.97  # of which a silhouette is not moved
 MOSTLY = 0.5  # of a part that lies by the silhouette, if it is its arm's
 LARGE = 0.1  # of the largest part's area
+ALONG = 0.6  # of the silhouette's outline that lies along the mask's, if it is where the instrument is
+ALONG_PX = 3.0
 REACH = 0.06  # of the picture's width, by which a predicted silhouette is moved
 COARSE = 4  # pixels a cell where it is moved
 
@@ -169,27 +172,26 @@ def by_silhouette(mask: Mask, silhouette: Mask) -> Mask:
     taken[np.argmax(covers)] = True
     taken[0] = False
     picked: Mask = taken[labels]
-    others = _others(picked & ~near, distance, FAR * thick, LEAST_OTHER * area)
+    if shafts(picked, gate) < 2 and along(silhouette, picked, ALONG_PX) < ALONG:
+        return picked
+    others = _others(picked & ~near, distance, thick, LEAST_OTHER * area)
     if others is None or np.count_nonzero(others) <= np.count_nonzero(silhouette & ~picked):
         return picked  # as much is missing: the silhouette is not where the instrument is
     own: Mask = picked & (distance <= distance_px(others))
     return own
 
 
-def _others(beyond: Mask, distance: FloatArray, far_px: float, least_px: float) -> Mask | None:
+def _others(beyond: Mask, distance: FloatArray, thick_px: float, least_px: float) -> Mask | None:
     """Pieces beyond the gate that are another instrument's."""
     count, labels, stats, _ = cv2.connectedComponentsWithStats(beyond.astype(np.uint8))
-    height, width = beyond.shape
-    first_u, first_v = stats[:, cv2.CC_STAT_LEFT], stats[:, cv2.CC_STAT_TOP]
-    last_u, last_v = first_u + stats[:, cv2.CC_STAT_WIDTH], first_v + stats[:, cv2.CC_STAT_HEIGHT]
-    from_border = (first_u == 0) | (first_v == 0) | (last_u == width) | (last_v == height)
-    other = (stats[:, cv2.CC_STAT_AREA] >= least_px) & from_border
-    if other[1:].any() or (beyond & (distance > far_px)).any():
-        farthest = np.zeros(count)
-        np.maximum.at(farthest, labels[beyond], distance[beyond])
-        other |= (farthest > far_px) & (stats[:, cv2.CC_STAT_AREA] >= least_px)
-    other[0] = False
-    return other[labels] if other.any() else None
+    farthest = np.zeros(count)
+    np.maximum.at(farthest, labels[beyond], distance[beyond])
+    large = stats[:, cv2.CC_STAT_AREA] >= least_px
+    other = (farthest > FAR * thick_px) & large
+    if not other.any():
+        return None
+    other |= (farthest > FAR_TOO * thick_px) & large
+    return np.asarray(other[labels])
 
 
 def moved_onto(silhouette: Mask, mask: Mask) -> Mask:
@@ -232,6 +234,28 @@ def nearest_parts(mask: Mask, reference: Mask) -> Mask:
         if not (sides(part) & sides(reference)).any():
             farness[label] += np.hypot(*mask.shape) / 2
     return np.asarray(labels == int(np.argmin(farness)))
+
+
+def shafts(mask: Mask, gap_px: float) -> int:
+    """At how many places a mask reaches the border of the picture, gaps of no more than some pixels not counted."""
+    around = np.concatenate([mask[0], mask[1:, -1], mask[-1, -2::-1], mask[-2:0:-1, 0]])
+    at = np.flatnonzero(around)
+    gaps = np.diff(at, append=at[:1] + len(around)) if len(at) else at
+    return max(int(np.count_nonzero(gaps > gap_px + 1)), min(len(at), 1))
+
+
+def along(silhouette: Mask, mask: Mask, within_px: float) -> float:
+    """Share of a silhouette's outline that has an outline of a mask nearby, the picture's border not counted."""
+    own, other = outline(silhouette), outline(mask)
+    if not own.any() or not other.any():
+        return 0.0
+    return float((distance_px(other)[own] <= within_px).mean())
+
+
+def outline(mask: Mask) -> Mask:
+    """``(height, width)`` the pixels of a mask that have a neighbour in the picture that is none of its."""
+    inner = cv2.erode(mask.astype(np.uint8), np.ones((3, 3), np.uint8))  # as if the mask went on beyond the picture
+    return np.asarray(mask & (inner == 0))
 
 
 def sides(mask: Mask) -> NDArray[np.bool_]:
