@@ -18,7 +18,6 @@ DARK = 16.0  # levels of 255 below which colours are noise
 THRESHOLD_RANGE = 0.4, 0.72
 BINS = 24  # of each of the three axes of the colours' histograms
 FLOOR = 1e-3  # of the histograms, so that colours not seen before are no evidence
-BRIGHTNESS_WEIGHT = 0.5  # beside the two of chromaticity
 # Pixels of the reduced picture.
 OPENING_PX = 3
 SNAP_PX = 2
@@ -116,10 +115,11 @@ def choose(
     """
     opened = cv2.morphologyEx(candidates.astype(np.uint8), cv2.MORPH_OPEN, _disc(OPENING_PX))
     count, labels, stats, _ = cv2.connectedComponentsWithStats(opened, connectivity=4)
-    height, width = candidates.shape
     areas = stats[:, cv2.CC_STAT_AREA]
     border = np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]])
-    chosen = (np.bincount(border, minlength=count) >= CONTACT * width) & (areas >= LARGE * candidates.size)
+    chosen = (np.bincount(border, minlength=count) >= CONTACT * candidates.shape[1]) & (
+        areas >= LARGE * candidates.size
+    )
     pieces = areas >= PIECE * candidates.size
     if around is not None:
         chosen |= pieces & (np.bincount(labels[around], minlength=count) >= WITHIN * areas)
@@ -161,9 +161,7 @@ def by_colours(smooth: FloatImage, mask: Mask) -> FloatImage:
     Colours are the two log chromaticities, which do not change with brightness, and log brightness.
     """
     logs = np.log(smooth + 0.75 * DARK)
-    axes = np.stack(
-        [logs[..., 0] - logs[..., 1], logs[..., 2] - logs[..., 1], BRIGHTNESS_WEIGHT * logs.mean(axis=2)], axis=2
-    )
+    axes = np.stack([logs[..., 0] - logs[..., 1], logs[..., 2] - logs[..., 1], logs.mean(axis=2)], axis=2)
     low, high = np.percentile(axes[::3, ::3].reshape(-1, 3), (1, 99), axis=0).astype(np.float32)
     cells = np.clip((axes - low) / np.maximum(high - low, 1e-3) * (BINS - 1), 0, BINS - 1).astype(np.int32)
     flat = (cells[..., 0] * BINS + cells[..., 1]) * BINS + cells[..., 2]
