@@ -4,9 +4,9 @@ Of each source and dataset the intersection over union with the visible truth, m
 milliseconds of process time a frame; ``reset`` and the reading of images are not counted. ``--arms dual`` shows scenes
 the pair, ``single`` each arm of it alone. ``--points`` gives prompts drawn from the truth of the first frame.
 ``--prior PX`` begins each frame's search at the true state moved by so many pixels to the right; without it there is no
-estimate. ``--real DIR`` takes a folder of single frames: ``camera.json``, and ``images/*.png`` with ``masks/*.png`` of the
-same names, white being the one instrument, each of them a sequence of its own. The picture has a row for each source:
-its worst frames, the truth's outline green and the source's red.
+estimate. ``--real DIR`` takes a folder of single frames, each a sequence of its own: ``camera.json``, ``images/*.png``
+and ``masks/*.png`` of the same names, white being the one instrument. The picture has a row for each source: its worst
+frames, the truth's outline green and the source's red.
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ from surgbench.silhouette import SilhouetteEvaluator
 GATE = 0.2  # what is nearer to the silhouette is not looked at as another instrument
 FAR = 0.6  # what reaches farther away is another instrument, if it has a shaft
 FAR_TOO = 0.35  # and so is, where there is one, what reaches as far: its end on the silhouette's other side
-LEAST_GATE_PX = 6.0
+LEAST_GATE_PX = 3.0
 # Shares of the silhouette's area.
 LEAST_OTHER = 0.06  # that another instrument covers, which is to be cut off
 LEAST_COVERED = 0.05  # that the mask covers, where the prediction is to be believed
@@ -24,9 +24,11 @@ WELL_COVERED = 0.97  # of which a silhouette is not moved
 MOSTLY = 0.5  # of a part that lies by the silhouette, if it is its arm's
 LARGE = 0.1  # of the largest part's area
 ALONG = 0.6  # of the silhouette's outline that lies along the mask's, if it is where the instrument is
-ALONG_PX = 3.0
+ALONG_PX = 2.0
 REACH = 0.06  # of the picture's width, by which a predicted silhouette is moved
-COARSE = 4  # pixels a cell where it is moved
+GAIN = 0.03  # of the silhouette's area, that the mask covers more of it then
+COARSE = 2  # pixels a cell where it is moved
+WIDTH_PX = 350  # of the picture that all this is done in, and whose pixels are meant
 
 
 class OwnArms:
@@ -84,16 +86,21 @@ class OwnArms:
             return mask
         prompts, self._prompts = self._prompts, None
         predicted = self.predicted(observation)
-        picked = mask
+        small = reduced(mask)
+        picked = small
         if prompts is not None:
-            picked = by_points(mask, np.concatenate(list(prompts.points_px)), np.concatenate(list(prompts.inside)))
+            scale = small.shape[1] / mask.shape[1]
+            points = np.concatenate(list(prompts.points_px)) * scale
+            picked = by_points(small, points, np.concatenate(list(prompts.inside)))
         if predicted is not None:
-            picked = self._by_prediction(picked if picked.any() else mask, predicted)
-        elif prompts is None and self._last is not None and self._last.any():
-            picked = by_silhouette(mask, self._last)
+            picked = self._by_prediction(picked if picked.any() else small, reduced(predicted))
+        elif prompts is None and self._last is not None:
+            picked = by_silhouette(small, self._last)
         if picked.any():
             self._last = picked
-        return picked
+        height, width = mask.shape
+        kept = cv2.resize(picked.astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST)
+        return np.asarray(mask & (kept > 0))
 
     def predicted(self, observation: Observation) -> Mask | None:
         """The silhouette of the predicted state in this view, ``(height, width)``; ``None`` without an estimate."""
@@ -109,11 +116,21 @@ class OwnArms:
             moved = moved_onto(predicted, mask)
             if np.count_nonzero(moved & mask) >= LEAST_COVERED * area:
                 return by_silhouette(mask, moved)
-        if self._last is not None and self._last.any():
+        if self._last is not None:
             if (self._last & mask).any():
                 return by_silhouette(mask, self._last)
             return nearest_parts(mask, self._last)
         return nearest_parts(mask, predicted) if area else np.zeros_like(mask)  # it is not in the picture
+
+
+def reduced(mask: Mask) -> Mask:
+    """A mask in so many times smaller a picture that this is about ``WIDTH_PX`` wide; a pixel is in it if a part is."""
+    height, width = mask.shape
+    step = max(1, round(width / WIDTH_PX))
+    if step == 1:
+        return mask
+    size = -(-width // step), -(-height // step)
+    return np.asarray(cv2.resize(mask.astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0)
 
 
 def by_points(mask: Mask, points_px: FloatArray, inside: NDArray[np.bool_]) -> Mask:
@@ -148,7 +165,20 @@ def by_points(mask: Mask, points_px: FloatArray, inside: NDArray[np.bool_]) -> M
         v, u = np.nonzero(np.isin(labels, list(meant & refused)))
         squares = ((np.stack([u, v], 1)[:, None] - points_px[None]) ** 2).sum(2)
         picked[v, u] = inside[squares.argmin(1)]
-    return picked
+    return np.asarray(picked | _pieces_near(labels, count, picked, points_px[~inside]))
+
+
+def _pieces_near(labels: NDArray[np.int32], count: int, picked: Mask, refused_px: FloatArray) -> Mask:
+    """Small parts by a picked one, as a joint or a marker cuts them off, that no point refuses."""
+    if not picked.any():
+        return picked
+    sizes = np.bincount(labels.ravel(), minlength=count)
+    near = np.bincount(labels[distance_px(picked) <= GATE * thickness_px(picked)], minlength=count) > 0
+    near &= sizes < LARGE * np.count_nonzero(picked)
+    u, v = np.rint(refused_px).astype(int).clip(0, np.array(labels.shape[::-1]) - 1).T
+    near[labels[v, u]] = False
+    near[0] = False
+    return np.asarray(near[labels])
 
 
 def by_silhouette(mask: Mask, silhouette: Mask) -> Mask:
@@ -185,13 +215,12 @@ def _others(beyond: Mask, distance: FloatArray, thick_px: float, least_px: float
     """Pieces beyond the gate that are another instrument's."""
     count, labels, stats, _ = cv2.connectedComponentsWithStats(beyond.astype(np.uint8))
     farthest = np.zeros(count)
-    np.maximum.at(farthest, labels[beyond], distance[beyond])
-    large = stats[:, cv2.CC_STAT_AREA] >= least_px
-    other = (farthest > FAR * thick_px) & large
+    for label in 1 + np.flatnonzero(stats[1:, cv2.CC_STAT_AREA] >= least_px):
+        farthest[label] = distance[labels == label].max()
+    other = farthest > FAR * thick_px
     if not other.any():
         return None
-    other |= (farthest > FAR_TOO * thick_px) & large
-    return np.asarray(other[labels])
+    return np.asarray((farthest > FAR_TOO * thick_px)[labels])
 
 
 def moved_onto(silhouette: Mask, mask: Mask) -> Mask:
@@ -208,6 +237,8 @@ def moved_onto(silhouette: Mask, mask: Mask) -> Mask:
     dv, du = np.mgrid[-cells : cells + 1, -cells : cells + 1]
     covered -= 0.02 * small[0].sum() * np.hypot(du, dv) / cells  # of places alike the nearest
     best = int(np.argmax(covered))
+    if covered.flat[best] < covered[cells, cells] + GAIN * small[0].sum():
+        return silhouette
     shift = np.array([[1, 0, COARSE * du.flat[best]], [0, 1, COARSE * dv.flat[best]]], np.float64)
     moved = cv2.warpAffine(
         silhouette.astype(np.uint8), shift, (width, height), flags=cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE
