@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from surgbench.contract import Trace
+from surgbench.contract import Trace, View
 from surgbench.errors import SurgbenchError
+from surgbench.registry import create, find
 from surgbench.suite.asked import Conditions
 from surgbench.suite.plan import complete
 from surgbench.suite.settings import Job
 from surgbench.tasks.instrument.asked import InstrumentRow
 from surgbench.tasks.instrument.dataset import InstrumentDataset, InstrumentUnit
 from surgbench.tasks.instrument.execute import child_setup, true_states, unit_data
+from surgbench.tasks.instrument.made_masks import MaskMaker, with_images_read
 from surgbench.tasks.instrument.plan import InstrumentSettings
+from surgbench.tasks.instrument.told_prompts import of_views
 from surgbench.tasks.instrument.worker import Loop
 
 
@@ -61,6 +66,37 @@ def replay_traces(record: dict[str, Any], dataset: InstrumentDataset, frames: li
         if trace is not None:
             traces[frame] = trace
     return traces
+
+
+def made_masks(record: dict[str, Any], dataset: InstrumentDataset) -> Iterator[tuple[int, View]]:
+    """The masks that a recorded run's mask source made, made again: no record holds them.
+
+    Args:
+        record: A record's whole content, of a run with a mask source.
+        dataset: The dataset of the run.
+
+    Yields:
+        Frame numbers from where tracking began, and what the source made of the reference view.
+
+    Raises:
+        SurgbenchError: The source cannot run here, or breaks down.
+    """
+    job, recorded = _job(record, dataset), record["frames"]
+    data, frames = unit_data(job, dataset), len(recorded["index"])
+    first = data.first_seen(frames)
+    if first is None:
+        return
+    setup = child_setup(job, data, first)
+    source = setup.mask_source
+    assert source is not None
+    maker = MaskMaker(partial(create, find(source.kind, source.reference), source.options), source.name)
+    for frame in range(first, frames):
+        start = np.array(recorded["start"][frame])
+        observation = with_images_read(replace(data.observation(frame), start=start))
+        if frame == first:
+            known = start if setup.initialiser.needs_truth else None
+            maker.reset(setup.scene, observation, of_views(setup.prompts, setup.scene, observation, known))
+        yield frame, maker.make(observation).observation.views[0]
 
 
 def _job(record: dict[str, Any], dataset: InstrumentDataset) -> Job:

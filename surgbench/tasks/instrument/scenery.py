@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import json
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from surgbench.camera.change_of_view import ChangeOfView
-from surgbench.contract import Mask
+from surgbench.contract import Mask, View
 from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument
 from surgbench.report.drawing import REFERENCE_COLOUR, Colour, Picture, draw_contours, draw_dots, grey, scaled, tint
@@ -17,6 +19,12 @@ from surgbench.state import split_arms
 from surgbench.tasks.instrument.dataset import InstrumentDataset
 from surgbench.tasks.instrument.dataset import Sequence as Recording
 from surgbench.tasks.instrument.records import InstrumentRecord
+
+
+def _made_again(record: InstrumentRecord, dataset: InstrumentDataset) -> Iterator[tuple[int, View]]:
+    from surgbench.tasks.instrument.replay import made_masks
+
+    return made_masks(json.loads(record.path.read_text(encoding="utf-8")), dataset)
 
 
 @dataclass
@@ -79,6 +87,8 @@ class Scenery:
         self.instruments: list[Instrument] = [dataset.instrument(named[arm]) for arm in self._arms]
         self._auxiliary = None if view is None else self.recording.auxiliary(view)
         self.camera = self.recording.camera if self._auxiliary is None else self._auxiliary.camera
+        self._made = None if spec.mask_source is None else _made_again(record, dataset)
+        self._kept: dict[int, NDArray[np.uint8]] = {}
         self._evaluator: SilhouetteEvaluator = SilhouetteEvaluator(self.instruments, self.camera)
 
     @property
@@ -87,8 +97,25 @@ class Scenery:
         return self._auxiliary is not None
 
     def reference(self, frame: int) -> Mask:
-        """The mask that the tracker saw."""
-        return (self._auxiliary or self.recording).mask(self.kind, frame)
+        """The mask that the tracker saw: the dataset's, or what its mask source made; empty where there was none."""
+        if self._auxiliary is None and self._made is not None:
+            return self._made_mask(frame)
+        seen = self._auxiliary or self.recording
+        if self.kind not in seen.entry.kinds:
+            return self._nothing
+        return seen.mask(self.kind, frame)
+
+    def _made_mask(self, frame: int) -> Mask:
+        # A source follows the sequence, so that masks of later frames need those before.
+        while self._made is not None and frame not in self._kept:
+            reached, view = next(self._made, (frame, None))
+            self._kept[reached] = np.packbits(self._nothing if view is None else view.mask)
+        flat = np.unpackbits(self._kept[frame], count=self._nothing.size)
+        return flat.reshape(self._nothing.shape).view(np.bool_)
+
+    @property
+    def _nothing(self) -> Mask:
+        return np.zeros((self.camera.height, self.camera.width), dtype=bool)
 
     def ground(self, frame: int) -> Picture:
         """The image, or the mask in grey where there is none."""
