@@ -43,9 +43,10 @@ _ALL_POINTS = "prompt_encoder.point_embed.weight"
 _GRID = "prompt_encoder.shared_embedding.positional_embedding"
 _GRID_AGAIN = "shared_image_embedding.positional_embedding"
 
-# Patterns of whole names, and what they become; the first that fits counts. Names that none fits stay as they are.
+# Layers of a perceptron.
 _MLP_OF_THREE = {"0": "proj_in", "1": "layers.0", "2": "proj_out"}
 _MLP_OF_TWO = {"0": "proj_in", "1": "proj_out"}
+# Whole names.
 _SAME = {
     "maskmem_tpos_enc": "memory_temporal_positional_encoding",
     "no_mem_embed": "no_memory_embedding",
@@ -54,6 +55,7 @@ _SAME = {
     _HIDDEN: "occlusion_spatial_embedding_parameter",
     "sam_prompt_encoder.pe_layer.positional_encoding_gaussian_matrix": _GRID,
 }
+# Beginnings of names; the first that fits counts.
 _MODULES = (
     ("image_encoder.trunk.patch_embed.proj.", "vision_encoder.backbone.patch_embed.projection."),
     ("image_encoder.trunk.", "vision_encoder.backbone."),
@@ -79,13 +81,7 @@ _MODULES = (
 
 
 def converted_name(name: str) -> str:
-    """What a tensor of the original layout is called in transformers' one.
-
-    Example:
-        >>> from surgbench.trackers.masks.sam2_video.original import converted_name
-        >>> converted_name("memory_attention.layers.0.self_attn.out_proj.weight")
-        'memory_attention.layers.0.self_attn.o_proj.weight'
-    """
+    """What a tensor of the original layout is called in transformers' one; what is unknown keeps its name."""
     if name in _SAME:
         return _SAME[name]
     for old, new in _MODULES:
