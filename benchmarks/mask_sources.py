@@ -6,7 +6,7 @@ the pair, ``single`` each arm of it alone. ``--points`` gives prompts drawn from
 ``--prior PX`` begins each frame's search at the true state moved by so many pixels to the right; without it there is no
 estimate. ``--real DIR`` takes a folder of single frames, each a sequence of its own: ``camera.json``, ``images/*.png``
 and ``masks/*.png`` of the same names, white being the one instrument. The picture has a row for each source: its worst
-frames, the truth's outline green and the source's red.
+frames, no two of a sequence, the truth's outline green and the source's red.
 """
 
 from __future__ import annotations
@@ -63,6 +63,7 @@ class Clip:
 class Result:
     """What a source made of a frame."""
 
+    data: str
     clip: str
     frame: int
     iou: float
@@ -92,10 +93,10 @@ def main() -> int:
         for path in [*options.dataset, *options.real]:
             clips = real_clips(path) if path in options.real else dataset_clips(path, options.arms, options.prior)
             source = create(find("mask_source", name), settings.get(name, {}))
-            found = [one for clip in clips for one in run(source, clip, options.frames, options.points)]
+            found = [one for clip in clips for one in run(source, path.name, clip, options.frames, options.points)]
             print(f"| `{name}` | {path.name} | {summary(found)} |", flush=True)
             every += found
-        rows.append(sorted(every, key=lambda one: one.iou)[: options.worst])
+        rows.append(worst_of(every, options.worst))
     if options.out is not None:
         draw(rows, options.out)
     return 0
@@ -137,7 +138,7 @@ def real_clips(folder: Path) -> Iterator[Clip]:
         yield Clip(path.stem, scene, iter([(Observation(0, 0.0, (view,), np.zeros(STATE_SIZE)), (mask,))]))
 
 
-def run(source: MaskSource, clip: Clip, most: int | None, points: bool) -> Iterator[Result]:
+def run(source: MaskSource, data: str, clip: Clip, most: int | None, points: bool) -> Iterator[Result]:
     """What a source makes of a clip."""
     for number, (observation, shown) in enumerate(clip.frames):
         if number == most:
@@ -155,7 +156,8 @@ def run(source: MaskSource, clip: Clip, most: int | None, points: bool) -> Itera
         mask, truth = found.mask if isinstance(found, FoundMasks) else found, np.any(shown, axis=0)
         union = np.count_nonzero(mask | truth)
         share = np.count_nonzero(mask & truth) / union if union else 1.0
-        yield Result(clip.id, number, share, spent_ms, outlined(image, truth, mask, f"{clip.id} {number}: {share:.3f}"))
+        picture = outlined(image, truth, mask, f"{data} {clip.id}, frame {number}: {share:.3f}")
+        yield Result(data, clip.id, number, share, spent_ms, picture)
 
 
 def prompts_of(shown: tuple[Mask, ...], clip: str) -> Prompts:
@@ -173,6 +175,14 @@ def prompts_of(shown: tuple[Mask, ...], clip: str) -> Prompts:
         points.append(np.concatenate(both))
     inside = [np.array([bool(own[int(v), int(u)]) for u, v in some]) for own, some in zip(shown, points, strict=True)]
     return Prompts(points, inside)
+
+
+def worst_of(found: list[Result], count: int) -> list[Result]:
+    """The worst frames, no two of one sequence."""
+    of_each: dict[tuple[str, str], Result] = {}
+    for one in sorted(found, key=lambda one: one.iou):
+        of_each.setdefault((one.data, one.clip), one)
+    return list(of_each.values())[:count]
 
 
 def summary(found: list[Result]) -> str:

@@ -231,9 +231,9 @@ def moved_onto(silhouette: Mask, mask: Mask) -> Mask:
     size = max(1, width // COARSE), max(1, height // COARSE)
     small = [cv2.resize(one.astype(np.float32), size, interpolation=cv2.INTER_AREA) for one in (silhouette, mask)]
     cells = max(1, round(REACH * size[0]))
-    covered = cv2.matchTemplate(
-        cv2.copyMakeBorder(small[1], *[cells] * 4, cv2.BORDER_REPLICATE), small[0], cv2.TM_CCORR
-    )
+    # What a shift moves out of the picture is not covered: else any silhouette would be best outside.
+    framed = cv2.copyMakeBorder(small[1], *[cells] * 4, cv2.BORDER_CONSTANT)
+    covered = cv2.matchTemplate(framed, small[0], cv2.TM_CCORR)
     dv, du = np.mgrid[-cells : cells + 1, -cells : cells + 1]
     covered -= 0.02 * small[0].sum() * np.hypot(du, dv) / cells  # of places alike the nearest
     best = int(np.argmax(covered))
