@@ -28,7 +28,7 @@ BLUR_PX, DARKEST = 1.0, 14
 # A part's area against what should show.
 LEAST_AREA, MOST_AREA = 0.35, 2.2
 # How far beyond the part its blurred rim reaches, and the shares of paint from which a pixel counts, and fully.
-RIM_PX, RIM_LEAST, RIM_FULL = 3, 0.25, 0.8
+RIM_PX, RIM_LEAST, RIM_FULL = 3, 0.3, 0.7
 # What is around a spot is looked at so far; it is at most so saturated, of the spot's own, as far as its hue is alike.
 AROUND_PX, AROUND_SHARE = 6, 0.75
 # Markers of one instrument are off by the same but for this.
@@ -174,8 +174,11 @@ def _centroid(image: Image, blob: NDArray[np.bool_]) -> tuple[FloatArray, FloatA
     tint = linear - linear.mean(axis=1, keepdims=True)
     inside = blob[rows, columns]
     direction = tint[inside].mean(axis=0)
-    share = tint @ direction / max(float(direction @ direction), 1e-12)
-    weight = np.clip(share / RIM_FULL, 0.0, 1.0) * (share > RIM_LEAST)
+    length = max(float(np.linalg.norm(direction)), 1e-6)
+    along = tint @ (direction / length)
+    # What is of another hue is as much less of it.
+    aside = np.sqrt(np.maximum((tint**2).sum(axis=1) - along**2, 0.0))
+    weight = np.clip(((along - aside) / length - RIM_LEAST) / (RIM_FULL - RIM_LEAST), 0.0, 1.0)
     colour = image[blob].mean(axis=0) / 255.0
     total = weight.sum()
     if total <= 0:
