@@ -12,7 +12,7 @@ and the two edges of the shaft. Both are looked for in images; masks play no par
 from __future__ import annotations
 
 from functools import partial
-from typing import Annotated, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -120,7 +120,7 @@ class MarkerFilterTracker(ParticleFilterTracker):
     summary: ClassVar[str] = "the same on images of painted instruments; needs kinematics, readings, images and markers"
     reads_images: ClassVar[bool] = True
 
-    Config = MarkerFilterConfig
+    Config: ClassVar[type[Any]] = MarkerFilterConfig
 
     def reset(self, scene: Scene, state: FloatArray, rng: np.random.Generator) -> None:
         """Spread the particles of each arm around ``state``.

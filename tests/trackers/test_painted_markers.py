@@ -81,7 +81,8 @@ def disc(middle: FloatArray, radius: float) -> FloatArray:
     fine = np.zeros((CAMERA.height * FINER, CAMERA.width * FINER), np.uint8)
     at = np.rint((middle + 0.5) * FINER * 16 - 8).astype(int)
     cv2.circle(fine, (int(at[0]), int(at[1])), round(radius * FINER * 16), 1, cv2.FILLED, shift=4)
-    return fine.reshape(CAMERA.height, FINER, CAMERA.width, FINER).mean(axis=(1, 3))
+    shares: FloatArray = fine.reshape(CAMERA.height, FINER, CAMERA.width, FINER).mean(axis=(1, 3))
+    return shares
 
 
 # Colours
@@ -211,8 +212,7 @@ def test_the_edges_of_a_shaded_cylinder_are_found_to_a_pixel(painted: Instrument
     state, shaft = state_of(), shaft_of(painted)
     true, span = expected_edges(look_at_rotation(state[:3]), state[3:6], shaft, CAMERA)
     fine = CAMERA.resized(4 * CAMERA.width, 4 * CAMERA.height)
-    pixels = np.dstack(np.meshgrid(np.arange(fine.width), np.arange(fine.height)))
-    pixels = (pixels + 0.5) / 4 - 0.5
+    pixels = (np.dstack(np.meshgrid(np.arange(fine.width), np.arange(fine.height))) + 0.5) / 4 - 0.5
     depths = [pixels @ edge[:2] - edge[2] for edge in true]
     inside = (depths[0] < 0) & (depths[1] < 0)
     across = depths[0] / (depths[0] + depths[1])  # 0 at one edge, 1 at the other
