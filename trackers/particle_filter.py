@@ -81,10 +81,10 @@ class ParticleFilterTracker(InstrumentTracker):
     name: ClassVar[str] = "particle-filter"
     summary: ClassVar[str] = "Richter et al.'s lumped-error particle filter; needs kinematics and readings"
 
-    Config = ParticleFilterConfig
+    Config: ClassVar[type[Any]] = ParticleFilterConfig
 
     def __init__(self, config: Any = None) -> None:
-        self.config = config or self.Config()
+        self.config: Any = config or self.Config()
         self.trace: Trace | None = None
 
     def reset(self, scene: Scene, state: FloatArray, rng: np.random.Generator) -> None:

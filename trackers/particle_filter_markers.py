@@ -12,7 +12,7 @@ and the two edges of the shaft. Both are looked for in images; masks play no par
 from __future__ import annotations
 
 from functools import partial
-from typing import Annotated, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,6 +51,7 @@ class ImageFeatures:
     Attributes:
         found: ``(P, 2)`` markers that were last found in each view; NaN for those that were not.
         sought: ``(P,)`` whether they should show, in each view.
+        finders: Of each view.
         lines: Of each view; ``None`` unless the shaft is observed.
     """
 
@@ -58,7 +59,7 @@ class ImageFeatures:
         self._config = config
         self._instrument = instrument = scene.instruments[arm]
         patches = Patches(instrument)
-        self._finders = [MarkerFinder(instrument, view.camera, config, patches) for view in scene.views]
+        self.finders = [MarkerFinder(instrument, view.camera, config, patches) for view in scene.views]
         self.lines = [ShaftLines(config, instrument) for _ in scene.views] if config.shaft else None
         count, views = len(instrument.spec.markers), len(scene.views)
         self.found: list[FloatArray] = [np.full((count, 2), np.nan)] * views
@@ -66,7 +67,7 @@ class ImageFeatures:
 
     def likelihood(self, index: int, view: View, particles: Particles) -> FloatArray:
         """See :class:`~surgbench.trackers.observations.lumped_error.Features`."""
-        config, finder = self._config, self._finders[index]
+        config, finder = self._config, self.finders[index]
         image = view.image()
         if image is None:
             raise ConfigError(NEEDS_IMAGES)
@@ -119,7 +120,7 @@ class MarkerFilterTracker(ParticleFilterTracker):
     summary: ClassVar[str] = "the same on images of painted instruments; needs kinematics, readings, images and markers"
     reads_images: ClassVar[bool] = True
 
-    Config = MarkerFilterConfig
+    Config: ClassVar[type[Any]] = MarkerFilterConfig
 
     def reset(self, scene: Scene, state: FloatArray, rng: np.random.Generator) -> None:
         """Spread the particles of each arm around ``state``.

@@ -22,7 +22,8 @@ from surgbench.geometry import (
 )
 from surgbench.metrics import pose_errors
 from surgbench.state import split_arms
-from surgbench.trackers.particle_filter import LumpedErrorFilter, ParticleFilterTracker
+from surgbench.trackers.observations.lumped_error import LumpedErrorFilter
+from surgbench.trackers.particle_filter import ParticleFilterTracker
 
 # Bases of two arms in the camera frame, each about 20 cm from its instrument.
 BASES = rigid_transform(

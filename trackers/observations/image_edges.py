@@ -73,7 +73,8 @@ def _transitions(
         seen &= (u - x) ** 2 + (v - y) ** 2 > radius**2
     maps = u.astype(np.float32), v.astype(np.float32)
     strip = cv2.LUT(cv2.remap(image, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), _DECODED)
-    smooth = cv2.blur(cv2.GaussianBlur(strip, (0, 0), sigmaX=ACROSS_PX, sigmaY=0.01), (1, ALONG))
+    blurred = cv2.GaussianBlur(strip, (0, 0), sigmaX=ACROSS_PX, sigmaY=0.01)
+    smooth: NDArray[np.float32] = np.asarray(cv2.blur(blurred, (1, ALONG)), np.float32)
     if not window.rising:  # below, columns go outwards
         smooth, seen = smooth[:, ::-1], seen[:, ::-1]
     # Roots, so that shadows beside a shaft, where tissue is dark, count as well.

@@ -27,8 +27,10 @@ from surgbench.trackers.observations.patches import Patches, Shown
 BLUR_PX, DARKEST = 1.0, 14
 # A part's area against what should show.
 LEAST_AREA, MOST_AREA = 0.35, 2.2
+# How much more than the least saturation is asked for, one after the other.
+STRICTER = (1.0, 1.25, 1.5)
 # How far beyond the part its blurred rim reaches, and the shares of paint from which a pixel counts, and fully.
-RIM_PX, RIM_LEAST, RIM_FULL = 3, 0.25, 0.8
+RIM_PX, RIM_LEAST, RIM_FULL = 3, 0.3, 0.7
 # What is around a spot is looked at so far; it is at most so saturated, of the spot's own, as far as its hue is alike.
 AROUND_PX, AROUND_SHARE = 6, 0.75
 # Markers of one instrument are off by the same but for this.
@@ -87,21 +89,24 @@ class MarkerFinder:
         window = _window(places[wanted], reach[wanted], image.shape)
         part = image[window]
         hsv = cv2.cvtColor(cv2.GaussianBlur(part, (0, 0), BLUR_PX), cv2.COLOR_RGB2HSV_FULL)
-        hue, saturation, value = cv2.split(hsv)
+        hue, saturation, value = (np.asarray(plane, np.uint8) for plane in cv2.split(hsv))
         bright = value > DARKEST
         tables, least = self.paint.tables()
         alike = self.paint.alike()
         corner = np.array([window[1].start, window[0].start])
         colours: dict[int, FloatArray] = {}
-        for number in np.flatnonzero(wanted):
+        for number in np.flatnonzero(wanted).tolist():
             own = _window(places[number][None] - corner, reach[number : number + 1], part.shape)
             hues = cv2.LUT(hue[own], tables[number])
-            member = (hues > 0) & (saturation[own] > 255.0 * least[number]) & bright[own]
+            member = (hues > 0) & bright[own]
             origin = np.array([own[1].start, own[0].start]) + corner
-            blob = self._best(member, places[number] - origin, float(areas[number]), image.shape, origin)
-            if blob is not None and _stands_out(blob, saturation[own], alike[number][hue[own]]):
-                middle, colours[int(number)] = _centroid(part[own], blob)
-                found[number] = middle + origin
+            for stricter in STRICTER:  # where paint runs into tissue of its hue, a higher bar parts them
+                like = member & (saturation[own] > 255.0 * stricter * least[number])
+                blob = self._best(like, places[number] - origin, float(areas[number]), image.shape, origin)
+                if blob is not None and _stands_out(blob, saturation[own], alike[number][hue[own]]):
+                    middle, colours[number] = _centroid(part[own], blob)
+                    found[number] = middle + origin
+                    break
         found[~_agreeing(found - places)] = np.nan
         for number, colour in colours.items():
             if np.isfinite(found[number, 0]):
@@ -150,14 +155,14 @@ def _stands_out(blob: NDArray[np.bool_], saturation: Image, alike: NDArray[np.fl
 
 def _grown(blob: NDArray[np.bool_], by_px: int) -> NDArray[np.bool_]:
     kernel = np.ones((2 * by_px + 1, 2 * by_px + 1), np.uint8)
-    return np.asarray(cv2.dilate(blob.astype(np.uint8), kernel).astype(bool))
+    return np.asarray(cv2.dilate(blob.astype(np.uint8), kernel), dtype=bool)
 
 
 def _agreeing(off: FloatArray) -> NDArray[np.bool_]:
     """Of ``(P, 2)`` displacements those near the one that most are near to; of two such the smaller counts."""
     near = np.linalg.norm(off[:, None] - off, axis=2) <= APART_PX  # never true of NaN
     if not near.any():
-        return near.any(axis=1)
+        return np.zeros(len(off), dtype=bool)
     size = np.linalg.norm(np.nan_to_num(off), axis=1)
     middle = np.lexsort((size, -near.sum(axis=1)))[0]
     return np.asarray(near[middle])
@@ -174,8 +179,11 @@ def _centroid(image: Image, blob: NDArray[np.bool_]) -> tuple[FloatArray, FloatA
     tint = linear - linear.mean(axis=1, keepdims=True)
     inside = blob[rows, columns]
     direction = tint[inside].mean(axis=0)
-    share = tint @ direction / max(float(direction @ direction), 1e-12)
-    weight = np.clip(share / RIM_FULL, 0.0, 1.0) * (share > RIM_LEAST)
+    length = max(float(np.linalg.norm(direction)), 1e-6)
+    along = tint @ (direction / length)
+    # What is of another hue is as much less of it.
+    aside = np.sqrt(np.maximum((tint**2).sum(axis=1) - along**2, 0.0))
+    weight = np.clip(((along - aside) / length - RIM_LEAST) / (RIM_FULL - RIM_LEAST), 0.0, 1.0)
     colour = image[blob].mean(axis=0) / 255.0
     total = weight.sum()
     if total <= 0:

@@ -6,7 +6,7 @@ import itertools
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from surgbench.geometry import FloatArray
 from surgbench.instrument.spec import Marker
@@ -52,9 +52,9 @@ def hue_and_saturation(rgb: FloatArray) -> tuple[FloatArray, FloatArray]:
     return np.asarray(60.0 * sextant % 360.0), saturation
 
 
-def turned(hue: FloatArray, other: FloatArray) -> FloatArray:
+def turned(hue: ArrayLike, other: ArrayLike) -> FloatArray:
     """From the second hue to the first, -180 to 180 degrees."""
-    return np.asarray((hue - other + 180.0) % 360.0 - 180.0)
+    return np.asarray((np.subtract(hue, other) + 180.0) % 360.0 - 180.0)
 
 
 class Paint:

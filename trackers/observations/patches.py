@@ -58,7 +58,7 @@ class Patches:
         self._normals = np.concatenate([normals for _, normals in pieces])
         self._totals = np.array([np.linalg.norm(normals, axis=1).sum() for _, normals in pieces])
 
-    def shown(self, T_cam_link: FloatArray, camera: Camera) -> Shown:
+    def shown(self, T_cam_link: FloatArray, camera: Camera, nearest_m: FloatArray | None = None) -> Shown:
         """What a camera should see.
 
         A piece of area a and normal n at p, which faces the camera, covers ``-fx fy a (n . p) / z^3`` pixels.
@@ -66,17 +66,23 @@ class Patches:
         Args:
             T_cam_link: ``(L, 4, 4)`` of all links.
             camera: Pinhole.
+            nearest_m: ``(height, width)`` depths behind which nothing shows, where they are known.
         """
         T = T_cam_link[self._link[self._owner]]
         points = (T[:, :3, :3] @ self._points[:, :, None])[..., 0] + T[:, :3, 3]
         normals = (T[:, :3, :3] @ self._normals[:, :, None])[..., 0]
         depth = np.maximum(points[:, 2], NEAR_M)
         towards = np.where(points[:, 2] > NEAR_M, np.maximum(-(normals * points).sum(axis=1), 0.0), 0.0)
+        pixels = camera.project(points)
+        if nearest_m is not None:
+            inside = camera.contains(pixels)
+            column, row = np.rint(np.where(inside[:, None], pixels, 0.0)).astype(int).T
+            towards = np.where(inside & (points[:, 2] <= nearest_m[row, column]), towards, 0.0)
         covered = camera.fx * camera.fy * towards / depth**3
         areas = np.add.reduceat(covered, self._first)
         with np.errstate(invalid="ignore", divide="ignore"):
             middles = np.add.reduceat(covered[:, None] * self._points, self._first) / areas[:, None]
-            places = np.add.reduceat(covered[:, None] * camera.project(points), self._first) / areas[:, None]
+            places = np.add.reduceat(covered[:, None] * pixels, self._first) / areas[:, None]
         seen = np.add.reduceat(towards / np.linalg.norm(points, axis=1), self._first)
         shares = seen / self._totals
         sought = (areas >= LEAST_PX) & (shares >= LEAST_SHOWN)

@@ -119,26 +119,26 @@ class Scenery:
 
     def ground(self, frame: int) -> Picture:
         """The image, or the mask in grey where there is none."""
-        image = None if self._auxiliary is not None else self.recording.image(frame)
+        image = (self._auxiliary or self.recording).image(frame)
         return grey(self.reference(frame)) if image is None else image
 
     def points(self, frame: int) -> FloatArray:
         """``(n, 2)`` pixels of what was seen of tips, and of the points that somebody marked."""
-        seen = []
+        seen: list[FloatArray] = []
         for arm in self._arms:
             if self._auxiliary is not None:
                 seen.append(self._auxiliary.keypoints(self.kind, arm)[frame])
                 continue
             seen.append(self.recording.keypoints(arm)[frame])
             seen += [marked[frame][None] for marked in self.recording.labels(arm).values()]
-        found = np.concatenate(seen)
+        found: FloatArray = np.concatenate(seen)
         return found[np.isfinite(found).all(axis=1)]
 
     def tips(self, state: list[float], frame: int) -> FloatArray:
         """``(n, 2)`` pixels of an estimate's tips that are before the camera."""
         arms = split_arms(self._seen_from_here(state, frame))
         tips = [instrument.tips_cam(arm) for instrument, arm in zip(self.instruments, arms, strict=True)]
-        pixels = self.camera.project(np.concatenate(tips))
+        pixels: FloatArray = self.camera.project(np.concatenate(tips))
         return pixels[np.isfinite(pixels).all(axis=1)]
 
     def silhouette(self, state: list[float], frame: int) -> Mask:
