@@ -90,7 +90,7 @@ def main() -> None:
         tracker = MarkerFilterTracker(MarkerFilterTracker.Config(particles=arguments.particles))
         tracker.reset(data.scene(), truth[0, 0], np.random.default_rng(0))
         for frame in range(min(data.frames, arguments.frames)):
-            observation = data.observation(frame, data.sequence.mask(unit.kind, frame))
+            observation = data.observation(frame)
             estimate = tracker.step(observation)
             if frame % arguments.every:
                 continue

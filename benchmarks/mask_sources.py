@@ -16,6 +16,7 @@ import sys
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
@@ -36,6 +37,7 @@ from surgbench.registry import create, find
 from surgbench.state import STATE_SIZE, split_arms
 from surgbench.suite.suites import parse_sets
 from surgbench.tasks.instrument.dataset import InstrumentDataset, InstrumentUnit
+from surgbench.tasks.instrument.made_masks import with_images_read
 from surgbench.tasks.instrument.units import UnitData
 
 GREEN, RED = (0, 255, 0), (255, 0, 0)
@@ -120,8 +122,7 @@ def _frames(
             assert data.truth is not None
             start = data.truth[frame].ravel().copy()
             split_arms(start)[:, 3] += prior_px / data.camera.fx * split_arms(start)[:, 5]
-        observation = data.observation(frame, np.any(shown, axis=0))
-        yield replace(observation, start=start), shown
+        yield with_images_read(replace(data.observation(frame), start=start)), shown
 
 
 def real_clips(folder: Path) -> Iterator[Clip]:
@@ -133,8 +134,8 @@ def real_clips(folder: Path) -> Iterator[Clip]:
     for path in paths:
         image = read_image(path, camera.width, camera.height)
         mask = read_mask(folder / "masks" / path.name, camera.width, camera.height)
-        view = View(camera, np.eye(4), mask, image=lambda image=image: image)
-        scene = Scene((instrument,), (replace(view, mask=np.zeros_like(mask)),), (instrument.search_limits,), 1 / 30, 1)
+        view = View(camera, np.eye(4), np.zeros_like(mask), image=partial(np.asarray, image))
+        scene = Scene((instrument,), (view,), (instrument.search_limits,), 1 / 30, 1)
         yield Clip(path.stem, scene, iter([(Observation(0, 0.0, (view,), np.zeros(STATE_SIZE)), (mask,))]))
 
 
@@ -147,11 +148,10 @@ def run(source: MaskSource, data: str, clip: Clip, most: int | None, points: boo
         image = view.image()
         if image is None:
             raise DatasetError(f"sequence '{clip.id}' has no images")
-        seen = replace(view, image=lambda image=image: image)  # read before the clock starts
         if number == 0:
-            source.reset(clip.scene, seen, prompts_of(shown, clip.id) if points else None)
+            source.reset(clip.scene, view, prompts_of(shown, clip.id) if points else None)
         begin = time.process_time()
-        found = source.segment(replace(observation, views=(seen,)), seen)
+        found = source.segment(observation, view)
         spent_ms = 1e3 * (time.process_time() - begin)
         mask, truth = found.mask if isinstance(found, FoundMasks) else found, np.any(shown, axis=0)
         union = np.count_nonzero(mask | truth)

@@ -66,7 +66,8 @@ def start(arms: int = 1, prompts: Prompts | None = None) -> tuple[ColourEdgeMask
 def segment(source: ColourEdgeMasks, scene: Scene, image: Image | None, state: FloatArray | None = None) -> FoundMasks:
     view = replace(scene.views[0], image=lambda: image)
     begin = np.zeros(9 * scene.arms) if state is None else state
-    return source.segment(Observation(3, 0.1, (view,), begin), view)
+    found: FoundMasks = source.segment(Observation(3, 0.1, (view,), begin), view)
+    return found
 
 
 def found(image: Image | None, state: FloatArray | None = None) -> Mask:

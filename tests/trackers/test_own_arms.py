@@ -51,7 +51,7 @@ def frame(start: FloatArray | None = None) -> Observation:
 def picked(mask: Mask, start: FloatArray | None, arms: OwnArms | None = None) -> Mask:
     """What is picked, which is never more than there is."""
     arms = arms or OwnArms(scene(), scene().views[0])
-    own = arms.pick(mask, frame(start), scene().views[0])
+    own: Mask = arms.pick(mask, frame(start), scene().views[0])
     assert own.shape == mask.shape
     assert not (own & ~mask).any()
     return own
@@ -83,9 +83,9 @@ def test_an_arm_is_picked_whole_and_alone_where_it_is_clear_of_the_other(seed: i
     drift = 0.3 * STATE_SCALE * rng.normal(size=9)
     for own, state, seen in zip(alone, states.reshape(2, 9), visibility().visible_masks(states), strict=True):
         if not touch(*alone):
-            assert iou(picked(alone.any(0), state + drift), own) >= 0.9
+            assert iou(picked(np.any(alone, axis=0), state + drift), own) >= 0.9
         elif seen.sum() >= LEAST_PX:  # nothing of it is lost to the other where the prediction is right
-            assert (picked(alone.any(0), state) & seen).sum() >= 0.98 * seen.sum()
+            assert (picked(np.any(alone, axis=0), state) & seen).sum() >= 0.98 * seen.sum()
 
 
 def test_of_arms_that_cross_the_other_is_cut_off() -> None:
@@ -96,8 +96,8 @@ def test_of_arms_that_cross_the_other_is_cut_off() -> None:
         if alone.sum((1, 2)).min() < 3 * LEAST_PX or not touch(*alone):
             continue
         for own, state in zip(alone, states.reshape(2, 9), strict=True):
-            found.append(iou(picked(alone.any(0), state + 0.3 * STATE_SCALE * rng.normal(size=9)), own))
-            whole.append(iou(alone.any(0), own))
+            found.append(iou(picked(np.any(alone, axis=0), state + 0.3 * STATE_SCALE * rng.normal(size=9)), own))
+            whole.append(iou(np.any(alone, axis=0), own))
     assert len(found) >= 20
     assert np.mean(found) >= 0.85
     assert np.mean(found) >= np.mean(whole) + 0.3

@@ -73,7 +73,7 @@ def find_grey(picture: NDArray[np.uint8], before: Mask | None, thresholds: Thres
             need not come from the border.
         thresholds: What may be set.
     """
-    smooth = cv2.GaussianBlur(picture.astype(np.float32), (0, 0), 1.0)
+    smooth = np.asarray(cv2.GaussianBlur(picture.astype(np.float32), (0, 0), 1.0), np.float32)
     grey, saturation = grey_pixels(smooth)
     around = None if before is None else _grown(before, AROUND_PX)
     first = choose(grey, saturation, thresholds.contrast, around)
@@ -126,8 +126,8 @@ def choose(
     if core is not None:
         chosen &= np.bincount(labels[core], minlength=count) > 0
     chosen[0] = False
-    for label in np.flatnonzero(chosen):
-        chosen[label] = _contrast(labels, stats[label], label, badness) >= contrast
+    for label in map(int, np.flatnonzero(chosen)):
+        chosen[label] = _contrast(np.asarray(labels, np.int32), stats[label], label, badness) >= contrast
     if not chosen.any():
         return np.zeros(candidates.shape, bool)
     near = np.bincount(labels[_grown(chosen[labels], APART_PX)], minlength=count) > 0

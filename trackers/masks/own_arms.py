@@ -165,7 +165,7 @@ def by_points(mask: Mask, points_px: FloatArray, inside: NDArray[np.bool_]) -> M
         v, u = np.nonzero(np.isin(labels, list(meant & refused)))
         squares = ((np.stack([u, v], 1)[:, None] - points_px[None]) ** 2).sum(2)
         picked[v, u] = inside[squares.argmin(1)]
-    return np.asarray(picked | _pieces_near(labels, count, picked, points_px[~inside]))
+    return np.asarray(picked | _pieces_near(np.asarray(labels, np.int32), count, picked, points_px[~inside]))
 
 
 def _pieces_near(labels: NDArray[np.int32], count: int, picked: Mask, refused_px: FloatArray) -> Mask:
@@ -232,7 +232,7 @@ def moved_onto(silhouette: Mask, mask: Mask) -> Mask:
     small = [cv2.resize(one.astype(np.float32), size, interpolation=cv2.INTER_AREA) for one in (silhouette, mask)]
     cells = max(1, round(REACH * size[0]))
     # What a shift moves out of the picture is not covered: else any silhouette would be best outside.
-    framed = cv2.copyMakeBorder(small[1], *[cells] * 4, cv2.BORDER_CONSTANT)
+    framed = cv2.copyMakeBorder(small[1], cells, cells, cells, cells, cv2.BORDER_CONSTANT)
     covered = cv2.matchTemplate(framed, small[0], cv2.TM_CCORR)
     dv, du = np.mgrid[-cells : cells + 1, -cells : cells + 1]
     covered -= 0.02 * small[0].sum() * np.hypot(du, dv) / cells  # of places alike the nearest

@@ -55,7 +55,8 @@ def detect_image_edges(
     known = np.isfinite(spots_px).all(axis=1)
     transitions = partial(_transitions, image, spots_px[known], radii_px[known] + MARKER_RIM_PX)
     fewer = replace(gate, least_points=-(-gate.least_points // EVERY))
-    return find_edges(image.shape[:2], expected, span_px, fewer, transitions)
+    found: FloatArray = find_edges(image.shape[:2], expected, span_px, fewer, transitions)
+    return found
 
 
 def _transitions(

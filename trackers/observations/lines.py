@@ -71,7 +71,8 @@ class ShaftLines:
         origin = _middle_of_image_part(span_px, camera)
         costs = line_costs(_about(edges, origin), _about(self.found, origin), config.rho_rate, config.theta_rate)
         threshold = config.rho_rate * config.rho_threshold_px + config.theta_rate * config.theta_threshold_rad
-        return association_likelihood(costs, threshold)
+        likelihood: FloatArray = association_likelihood(costs, threshold)
+        return likelihood
 
 
 def _middle_of_image_part(span_px: FloatArray, camera: Camera) -> FloatArray:

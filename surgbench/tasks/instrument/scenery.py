@@ -132,7 +132,8 @@ class Scenery:
             seen.append(self.recording.keypoints(arm)[frame])
             seen += [marked[frame][None] for marked in self.recording.labels(arm).values()]
         found: FloatArray = np.concatenate(seen)
-        return found[np.isfinite(found).all(axis=1)]
+        known: FloatArray = found[np.isfinite(found).all(axis=1)]
+        return known
 
     def tips(self, state: list[float], frame: int) -> FloatArray:
         """``(n, 2)`` pixels of an estimate's tips that are before the camera."""
