@@ -96,7 +96,7 @@ def train(
         with progress("epochs", settings.training.epochs) as bar:
             bar(training.epoch)
             training.run(learnt, held_out, bar, say)
-    write_curve(out, say, "validation masks", SHARES, ERRORS)
+    write_curve(out, say, training.measures, "validation masks", SHARES, ERRORS)
     network, _ = load_network(out / WEIGHTS)
     heat, apart = settings.training.least_heat, settings.training.apart_px
     detector = TipDetector(network, settings.network, heat, apart, device)

@@ -81,9 +81,11 @@ def write_accuracy(out: Path, accuracy: Mapping[str, Any]) -> None:
     write_atomic(out / ACCURACY, as_json(accuracy))
 
 
-def write_curve(out: Path, say: Callable[[str], None], what: str, *panels: Mapping[str, str]) -> None:
+def write_curve(
+    out: Path, say: Callable[[str], None], measures: Iterable[str], what: str, *panels: Mapping[str, str]
+) -> None:
     """Draw the log, as :func:`surgbench.trackers.learning.curve.draw_curve` does, or say that it cannot be drawn."""
-    if not draw_curve(out / LOG, out / CURVE, what, *panels):
+    if not draw_curve(out / LOG, out / CURVE, measures, what, *panels):
         say(f"{out / CURVE}: left out, for {not_installed(['matplotlib'])}")
 
 

@@ -37,14 +37,14 @@ class PictureSource(Section):
     preset: str | None = None
     sequences: Count = 8
     frames: Annotated[int, Field(ge=2)] = 4
-    set: dict[str, Any] = {}
+    set: Annotated[dict[str, Any], Field(default_factory=dict)]
     dataset: str | None = None
 
     @model_validator(mode="after")
     def _one(self) -> PictureSource:
         if (self.preset is None) == (self.dataset is None):
             raise ValueError("needs either 'preset' or 'dataset'")
-        if self.dataset is not None and self.model_fields_set != {"dataset"}:
+        if self.dataset is not None and self.model_fields_set - {"dataset"}:
             raise ValueError("'dataset' takes no other key beside it")
         return self
 
@@ -73,7 +73,7 @@ class Picture:
     Attributes:
         image: ``(height, width, 3)`` uint8 RGB.
         mask: ``(height, width)`` bool: where an instrument shows.
-        name: Dataset, sequence and frame, for messages.
+        name: Sequence and frame, for messages.
     """
 
     image: NDArray[np.uint8]
@@ -112,6 +112,19 @@ def make_pictures(
     return folders
 
 
+def identities(sources: dict[str, PictureSource], part: str, seed: int) -> dict[str, Any]:
+    """What decides the bytes of the pictures, by source: what a preset makes, or the hash of a dataset.
+
+    Raises:
+        SurgbenchError: A preset is wrong, or there is no such dataset; one line.
+    """
+    found: dict[str, Any] = {}
+    for name, source in sources.items():
+        plan = source.plan(name, part, seed)
+        found[name] = open_as(InstrumentDataset, str(source.dataset)).hash if plan is None else plan.marker
+    return found
+
+
 def pictures(path: Path) -> Iterator[Picture]:
     """The pictures of a dataset, one after the other.
 
@@ -142,4 +155,4 @@ def pictures_of(sequence: Sequence) -> Iterator[Picture]:
         image = sequence.image(frame)
         assert image is not None
         masks = [read(kind, frame) for kind in kinds or shown]
-        yield Picture(image, np.logical_or.reduce(masks), f"{sequence.root}, {sequence.id}, frame {frame}")
+        yield Picture(image, np.logical_or.reduce(masks), f"sequence {sequence.id}, frame {frame}")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -12,12 +12,13 @@ from surgbench.report.frame import read_csv
 from surgbench.trackers.learning.course import log_fields
 
 
-def draw_curve(log: Path, out: Path, what: str, *panels: Mapping[str, str]) -> bool:
+def draw_curve(log: Path, out: Path, measures: Iterable[str], what: str, *panels: Mapping[str, str]) -> bool:
     """Draw the losses, and what is found on the validation examples, over the epochs.
 
     Args:
         log: ``log.csv`` of a training.
         out: The PNG file.
+        measures: All that is in it, in its order.
         what: The validation examples, in words.
         panels: Measures that are drawn into one panel, and what they are called there.
 
@@ -28,7 +29,6 @@ def draw_curve(log: Path, out: Path, what: str, *panels: Mapping[str, str]) -> b
         return False
     from matplotlib.figure import Figure
 
-    measures = [key for panel in panels for key in panel]
     table = read_csv(log.read_text(encoding="utf-8"), log_fields(*measures))
     epochs = (table["epoch"] + 1).tolist()
     losses = {key: key.replace("_", " ") for key in ("training_loss", "validation_loss")}

@@ -85,7 +85,7 @@ class Pictures:
     images: Sequence[Image]
     masks: Sequence[Image]
     input_px: int
-    settings: LookSettings = LookSettings()
+    settings: LookSettings
 
     def __len__(self) -> int:
         """How many there are."""

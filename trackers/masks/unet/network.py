@@ -7,6 +7,7 @@ is where most of the time would go.
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Annotated
 
 import torch
@@ -43,8 +44,7 @@ class MaskNetwork(nn.Module):
         self.stem = Step(3, widths[0], 5, stride=2)
         self.first = Step(widths[0], widths[0])
         self.down = nn.ModuleList(
-            nn.Sequential(Step(before, after, stride=2), Step(after, after))
-            for before, after in zip(widths, widths[1:], strict=False)
+            nn.Sequential(Step(before, after, stride=2), Step(after, after)) for before, after in pairwise(widths)
         )
         # Each takes what comes from the coarser level and its own; the first level's are few.
         after = [max(width // 2, settings.width) for width in widths[:-1]]

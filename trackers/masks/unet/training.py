@@ -122,7 +122,7 @@ class Training(Course[Pictures]):
 
 
 def mask_loss(logits: Tensor, target: Tensor, edge_weight: float) -> Tensor:
-    """Cross entropy of every pixel, those near an edge weighed more, and one less the soft Dice coefficient of the whole.
+    """Cross entropy of every pixel, those near an edge weighed more, and 1 less the soft Dice coefficient of the batch.
 
     The latter (Milletari et al., 3DV 2016) counts instruments as much as what is behind them, however small they are.
 
