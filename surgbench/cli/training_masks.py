@@ -114,19 +114,18 @@ def train(
     write_settings(out, settings.model_dump(mode="json") | begun)
     if training.epoch:
         say(f"{out}: goes on after {training.epoch} epochs")
-    folders = {
-        name: make_pictures(sources, name, settings.seed, out / DATA, jobs, say)
-        for name, sources in parts.items()
-        if name == "test" or not training.done
-    }
+
+    def made(part: str) -> list[Path]:
+        return make_pictures(parts[part], part, settings.seed, out / DATA, jobs, say)
+
     if not training.done:
-        shown = [_read(folders[name], settings) for name in ("training", "validation")]
+        shown = [_read(folders, settings) for folders in (made("training"), made("validation"))]
         with progress("epochs", settings.training.epochs) as bar:
             bar(training.epoch)
             training.run(*shown, bar, say)
     write_curve(out, say, training.measures, "validation pictures", OVERLAPS)
     result: dict[str, Any] = {"seed": settings.seed}
-    for name, folder in zip(parts["test"], folders["test"], strict=True):
+    for name, folder in zip(parts["test"], made("test"), strict=True):
         result[name] = measure(out / WEIGHTS, folder, device)
     write_accuracy(out, result)
     return result

@@ -150,9 +150,11 @@ def pictures_of(sequence: Sequence) -> Iterator[Picture]:
     read = sequence.clean_mask if sequence.entry.truth else sequence.mask
     look = sequence.look()
     shown = tuple(look["arms"]) if look is not None else sequence.arms
-    kinds = sequence.instance_kinds if shown == sequence.arms else None
+    kinds: tuple[str, ...] = shown
+    if shown == sequence.arms:
+        kinds = sequence.instance_kinds or (("both",) if "both" in sequence.entry.kinds else shown)
     for frame in range(sequence.frames):
         image = sequence.image(frame)
         assert image is not None
-        masks = [read(kind, frame) for kind in kinds or shown]
+        masks = [read(kind, frame) for kind in kinds]
         yield Picture(image, np.logical_or.reduce(masks), f"sequence {sequence.id}, frame {frame}")

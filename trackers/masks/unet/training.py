@@ -34,9 +34,9 @@ class TrainingSettings(CourseSettings):
         bfloat16: Whether the network is trained in mixed precision.
     """
 
-    epochs: Count = 12
-    batch: Count = 12
-    learning_rate: Positive = 3e-3
+    epochs: Count = 16
+    batch: Count = 8
+    learning_rate: Positive = 2.5e-3
     looks: Count = 4
     edge_weight: NotNegative = 2.0
     bfloat16: bool = True
