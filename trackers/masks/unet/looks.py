@@ -49,7 +49,7 @@ class LookSettings(Section):
         noise: Standard deviation of noise in levels of 255, at most.
     """
 
-    cut_px: tuple[int, int] = (256, 192)
+    cut_px: tuple[int, int] = (224, 160)
     aim: Fraction = 0.6
     zoom: tuple[Positive, Positive] = (0.75, 2.0)
     stretch: Annotated[float, Field(ge=1, le=2)] = 1.12
