@@ -122,7 +122,7 @@ class Pictures:
         light *= cv2.resize(shades, light.shape[1::-1], interpolation=cv2.INTER_CUBIC)[..., None]
         sigma = rng.uniform(0, settings.blur_px)
         if sigma > 0.3:
-            light = cv2.GaussianBlur(light, (0, 0), sigma)
+            light = np.asarray(cv2.GaussianBlur(light, (0, 0), sigma), np.float32)
         gamma = settings.gamma ** rng.uniform(-1, 1)
         light = np.power(np.clip(light, 0.0, 1.0), np.float32(gamma)) * np.float32(255.0)
         light += rng.standard_normal(light.shape, np.float32) * np.float32(rng.uniform(0, settings.noise))
@@ -136,7 +136,7 @@ class Pictures:
         # What is beyond the picture is mirrored: instruments go on at its border, as they do.
         cut = cv2.warpAffine(image, matrix, (width, height), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
         shown = cv2.warpAffine(mask, matrix, (width, height), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
-        return cut, np.where(shown >= 128, np.uint8(255), np.uint8(0))
+        return np.asarray(cut, np.uint8), np.where(shown >= 128, np.uint8(255), np.uint8(0))
 
     def _place(self, index: int, rng: np.random.Generator) -> FloatArray:
         """``(2, 3)`` from a picture to what is cut out of it."""

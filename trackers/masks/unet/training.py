@@ -31,8 +31,8 @@ class TrainingSettings(CourseSettings):
     Attributes:
         looks: How often an epoch shows each picture, every time in another look.
         edge_weight: How much more pixels near an instrument's edge count.
-        bfloat16: Whether the network is trained in mixed precision. An epoch then takes two thirds of the time and teaches
-            less, for rounding is a third of the first gradients.
+        bfloat16: Whether the network is trained in mixed precision. An epoch then takes two thirds of the time and
+            teaches less, for rounding is a third of the first gradients.
     """
 
     epochs: Count = 32
