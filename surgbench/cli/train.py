@@ -67,6 +67,12 @@ def masks(
     ] = None,
     seed: Annotated[int | None, typer.Option(min=0, help="Instead of the file's.")] = None,
     epochs: Annotated[int | None, typer.Option(min=1, help="At most so many passes, instead of the file's.")] = None,
+    set_: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set", metavar="KEY=VALUE", help="Any key of the file, for example looks.recolour=0.2; may be repeated."
+        ),
+    ] = None,
     device: Annotated[Literal["cpu", "cuda"], typer.Option(help="Where the network is trained.")] = "cpu",
     jobs: Annotated[int | None, typer.Option(min=1, help="Processes that make images; all cores unless told.")] = None,
 ) -> None:
@@ -80,8 +86,10 @@ def masks(
     goes on where it stopped.
     """
     from surgbench.cli.training_masks import load_training, train
+    from surgbench.generation import parse_settings
 
-    settings = load_training(training, seed, epochs)
+    changes = {**parse_settings(set_ or []), "seed": seed, "training.epochs": epochs}
+    settings = load_training(training, {key: value for key, value in changes.items() if value is not None})
     _train_in(out, device, lambda say: train(settings, out, start, device, _jobs(jobs), say))
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from surgbench.config import Section, locate, parse_model, read_yaml
-from surgbench.errors import SurgbenchError
+from surgbench.errors import ConfigError, SurgbenchError
 from surgbench.extras import not_installed
 from surgbench.files import PARTIAL_SUFFIX, write_atomic
 from surgbench.trackers.learning.course import LOG, STATE
@@ -41,7 +41,9 @@ def load_file(model: type[File], reference: str, changes: Mapping[str, Any]) -> 
     for key, value in changes.items():
         section, _, own = key.rpartition(".")
         if value is not None and section:
-            changed[section] = {**(content.get(section) or {}), own: value}
+            if not isinstance(changed.get(section) or {}, dict):
+                raise ConfigError(f"command line: '{section}' has no keys")
+            changed[section] = {**(changed.get(section) or {}), own: value}
         elif value is not None:
             changed[own] = value
     return parse_model(model, changed, "command line")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -80,14 +80,14 @@ class MaskTraining(Section):
         }
 
 
-def load_training(reference: str, seed: int | None, epochs: int | None) -> MaskTraining:
+def load_training(reference: str, changes: Mapping[str, Any]) -> MaskTraining:
     """A training file by name or path, with the command line's options over it.
 
     Raises:
         NotFoundError: No such file.
         ConfigError: An unknown key or a wrong value; one line.
     """
-    return load_file(MaskTraining, reference, {"seed": seed, "training.epochs": epochs})
+    return load_file(MaskTraining, reference, changes)
 
 
 def train(

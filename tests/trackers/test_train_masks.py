@@ -19,7 +19,7 @@ from surgbench import open_dataset
 from surgbench.camera import Camera
 from surgbench.cli.training_masks import load_training, measure
 from surgbench.cli.training_pictures import PictureSource, pictures
-from surgbench.errors import SurgbenchError
+from surgbench.errors import ConfigError, SurgbenchError
 from surgbench.generators.generate import generate, plan_dataset
 from surgbench.generators.looks.sections import Images
 from surgbench.generators.presets import Preset
@@ -159,7 +159,7 @@ def test_the_command_trains_and_its_model_is_one(
     surgbench("train", "masks", tmp_path / "tiny.yaml", "--out", out, "--jobs", 1)
     assert "goes on after 2 epochs" in capsys.readouterr().err
     assert (out / "weights.safetensors").read_bytes() == weights
-    surgbench("train", "masks", tmp_path / "tiny.yaml", "--out", out, "--epochs", 3, expect=2)
+    surgbench("train", "masks", tmp_path / "tiny.yaml", "--out", out, "--set", "training.batch=1", expect=2)
     assert "other settings" in capsys.readouterr().err
     assert (out / "weights.safetensors").read_bytes() == weights
 
@@ -219,9 +219,23 @@ def test_no_two_parts_or_sources_have_a_look_in_common() -> None:
     assert len(seeds) == 8
 
 
-def test_the_packages_own_file_is_what_its_model_was_trained_with() -> None:
+def test_the_packages_model_was_trained_on_what_the_file_says() -> None:
     told = json.loads((MODEL.parent / "config.json").read_text())
-    assert load_training("masks", None, None).model_dump(mode="json") == told
+    file = load_training("masks", {}).model_dump(mode="json")
+    # docs/masks.md says what else was set.
+    for key in ("seed", "set", "data", "validation_sequences", "network"):
+        assert told[key] == file[key]
+
+
+def test_the_command_line_goes_over_the_file() -> None:
+    settings = load_training("masks", {"seed": 3, "training.epochs": 2, "training.batch": 5, "looks.zoom": [1.0, 1.5]})
+    assert (settings.seed, settings.training.epochs, settings.training.batch) == (3, 2, 5)
+    assert settings.training.learning_rate == load_training("masks", {}).training.learning_rate
+    assert settings.looks.zoom == (1.0, 1.5)
+    with pytest.raises(ConfigError, match="did you mean 'zoom'"):
+        load_training("masks", {"looks.zom": 1})
+    with pytest.raises(ConfigError, match="'seed' has no keys"):
+        load_training("masks", {"seed.left": 1})
 
 
 def test_a_loss_of_nothing_wrong_is_nothing() -> None:
