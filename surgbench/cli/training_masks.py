@@ -47,9 +47,9 @@ class MaskTraining(Section):
     """
 
     seed: Annotated[int, Field(ge=0)] = 0
-    set: Annotated[dict[str, Any], Field(default_factory=dict)]
+    set: dict[str, Any] = Field(default_factory=dict)
     data: Annotated[dict[str, PictureSource], Field(min_length=1)]
-    validation: Annotated[dict[str, PictureSource], Field(default_factory=dict)]
+    validation: dict[str, PictureSource] = Field(default_factory=dict)
     validation_sequences: Count = 2
     test: Annotated[dict[str, PictureSource], Field(min_length=1)]
     network: NetworkSettings = NetworkSettings()
@@ -107,8 +107,8 @@ def train(
         raise SurgbenchError("'validation': is needed where 'data' has no preset")
     parts = {name: settings.part(name) for name in ("training", "validation", "test")}
     # Whatever else decides what is learnt; that of the test pictures is not among it.
-    learnt = {name: identities(parts[name], name, settings.seed) for name in ("training", "validation")}
-    identity = {"data": learnt, "looks": settings.looks.model_dump(mode="json")}
+    shown = {name: identities(parts[name], name, settings.seed) for name in ("training", "validation")}
+    identity = {"data": shown, "looks": settings.looks.model_dump(mode="json")}
     training = Training(out, settings.network, settings.training, settings.seed, device, identity, start)
     begun = {} if start is None else {"start_sha256": sha256_file(start)}
     write_settings(out, settings.model_dump(mode="json") | begun)
@@ -119,10 +119,10 @@ def train(
         return make_pictures(parts[part], part, settings.seed, out / DATA, jobs, say)
 
     if not training.done:
-        shown = [_read(folders, settings) for folders in (made("training"), made("validation"))]
+        learnt, held_out = (_read(made(part), settings) for part in ("training", "validation"))
         with progress("epochs", settings.training.epochs) as bar:
             bar(training.epoch)
-            training.run(*shown, bar, say)
+            training.run(learnt, held_out, bar, say)
     write_curve(out, say, training.measures, "validation pictures", OVERLAPS)
     result: dict[str, Any] = {"seed": settings.seed}
     for name, folder in zip(parts["test"], made("test"), strict=True):

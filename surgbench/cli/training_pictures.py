@@ -37,7 +37,7 @@ class PictureSource(Section):
     preset: str | None = None
     sequences: Count = 8
     frames: Annotated[int, Field(ge=2)] = 4
-    set: Annotated[dict[str, Any], Field(default_factory=dict)]
+    set: dict[str, Any] = Field(default_factory=dict)
     dataset: str | None = None
 
     @model_validator(mode="after")

@@ -91,7 +91,7 @@ class Course(Generic[Learnt]):
     def __init__(
         self,
         folder: Path,
-        make: Callable[[], nn.Module],
+        make: Callable[[], Any],
         settings: CourseSettings,
         seed: int,
         device: str,
@@ -99,7 +99,8 @@ class Course(Generic[Learnt]):
         memory_format: torch.memory_format,
         start: tuple[Path, Callable[[Path], nn.Module]] | None = None,
     ) -> None:
-        self._folder, self._settings, self._seed, self._device = folder, settings, seed, device
+        self._folder, self._seed, self._device = folder, seed, device
+        self._settings: Any = settings
         whole = {"training": settings.model_dump(), "seed": seed, **identity}
         if start is not None:
             whole["start"] = sha256_file(start[0])
@@ -158,7 +159,7 @@ class Course(Generic[Learnt]):
                 "learning_rate": float(f"{rate:.3g}"),
                 "training_loss": round(loss, 4),
                 "validation_loss": round(validation_loss, 4),
-                **{name: None if found[name] is None else round(found[name], 3) for name in self.measures},
+                **{name: _short(found[name]) for name in self.measures},
                 "seconds": round(time.monotonic() - begin),
             }
             self._log.append(row)
@@ -223,3 +224,7 @@ class Course(Generic[Learnt]):
             return float(self._settings.learning_rate * (0.04 + 0.96 * share / warm_up))
         turn = np.pi * (share - warm_up) / max(1.0 - warm_up, 1e-9)
         return float(self._settings.learning_rate * 0.5 * (1.0 + float(np.cos(turn))))
+
+
+def _short(value: float | None) -> float | None:
+    return None if value is None else round(value, 3)

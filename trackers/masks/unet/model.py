@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -62,7 +63,8 @@ class Segmenter:
     def __init__(
         self, network: MaskNetwork, settings: NetworkSettings, width: int, height: int, device: str = "cpu"
     ) -> None:
-        self._network = without_norms(network).to(device, memory_format=torch.channels_last)
+        fused: Any = without_norms(network)
+        self._network = fused.to(device, memory_format=torch.channels_last)
         self._input = input_size(width, height, settings)
         self._size, self._device = (width, height), device
 

@@ -8,7 +8,7 @@ is where most of the time would go.
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Annotated
+from typing import Annotated, Any
 
 import torch
 from pydantic import Field
@@ -78,7 +78,7 @@ class Step(nn.Module):
     def __init__(self, before: int, after: int, size: int = 3, stride: int = 1) -> None:
         super().__init__()
         self.convolution = nn.Conv2d(before, after, size, stride=stride, padding=size // 2, bias=False)
-        self.norm: nn.Module = nn.BatchNorm2d(after)
+        self.norm: Any = nn.BatchNorm2d(after)
 
     def forward(self, features: Tensor) -> Tensor:
         """``(n, before, h, w)`` to ``(n, after, h / stride, w / stride)``."""

@@ -113,10 +113,10 @@ class Training(Course[Pictures]):
         losses, overlaps = [], []
         segmenters: dict[tuple[int, ...], Segmenter] = {}
         for image, mask in zip(examples.images, examples.masks, strict=True):
-            size = mask.shape[::-1]
-            if size not in segmenters:
-                segmenters[size] = Segmenter(self._network, self._size, *size, self._device)
-            logits, truth = segmenters[size].logits(image), mask >= 128
+            height, width = mask.shape
+            if (width, height) not in segmenters:
+                segmenters[width, height] = Segmenter(self._network, self._size, width, height, self._device)
+            logits, truth = segmenters[width, height].logits(image), mask >= 128
             target = torch.from_numpy(truth.astype(np.float32))[None]
             losses.append(float(mask_loss(torch.from_numpy(logits)[None], target, self._settings.edge_weight)))
             overlaps.append(overlap(logits > 0, truth))
