@@ -41,7 +41,7 @@ def load_file(model: type[File], reference: str, changes: Mapping[str, Any]) -> 
     for key, value in changes.items():
         section, _, own = key.rpartition(".")
         if value is not None and section:
-            if not isinstance(changed.get(section) or {}, dict):
+            if not isinstance(changed.get(section), dict | None):
                 raise ConfigError(f"command line: '{section}' has no keys")
             changed[section] = {**(changed.get(section) or {}), own: value}
         elif value is not None:

@@ -131,7 +131,7 @@ def train(
     return result
 
 
-def measure(weights: Path, dataset: Path, device: str = "cpu") -> dict[str, Any]:
+def measure(weights: Path, dataset: Path | str, device: str = "cpu") -> dict[str, Any]:
     """How well a model finds instruments in the pictures of a dataset, as the mask source does.
 
     Args:

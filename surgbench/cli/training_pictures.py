@@ -125,7 +125,7 @@ def identities(sources: dict[str, PictureSource], part: str, seed: int) -> dict[
     return found
 
 
-def pictures(path: Path) -> Iterator[Picture]:
+def pictures(path: Path | str) -> Iterator[Picture]:
     """The pictures of a dataset, one after the other.
 
     Raises:

@@ -269,7 +269,7 @@ def test_overlap_of_masks() -> None:
 @given(st.integers(0, 2**32 - 1))
 def test_looks_move_picture_and_mask_alike(seed: int) -> None:
     """Of bars that are bright before black and stay so, what is bright is where the mask says."""
-    still = LookSettings(cut_px=(64, 32), other_backdrop=0, recolour=0, swap_colours=0, shade=0, blur_px=0, noise=0)
+    still = LookSettings(cut_px=(64, 32), other_backdrop=0, recolour=0, swap_colours=0, shade=0, gamma=1, blur_px=0, noise=0)
     bars = painted(2)
     plain = [np.where(mask[..., None] > 0, np.uint8(200), np.uint8(0)).repeat(3, axis=2) for mask in bars.masks]
     image, mask = Pictures(plain, bars.masks, 64, still).look(1, np.random.default_rng(seed))
