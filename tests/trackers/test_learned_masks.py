@@ -67,7 +67,7 @@ def found(source: MaskSource, camera: Camera, image: NDArray[np.uint8] | None) -
 
 
 def learned(**options: object) -> LearnedMasks:
-    source: LearnedMasks = create(find("masks", "learned"), options)
+    source: LearnedMasks = create(find("mask_source", "learned"), options)
     return source
 
 
