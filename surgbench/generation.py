@@ -130,7 +130,8 @@ def with_settings(content: Mapping[str, Any], settings: Mapping[str, Any]) -> di
             here = here[section]
             if not isinstance(here, dict):
                 raise ConfigError(f"--set {key}: '{section}' has no keys")
-        here[last] = value
+        # A copy: a key that comes later may lead into it.
+        here[last] = json.loads(json.dumps(value))
     if "name" not in settings:
         changed["name"] = f"{changed['name']}{settings_suffix(settings)}"
     return changed

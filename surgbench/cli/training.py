@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
@@ -11,23 +10,28 @@ import numpy as np
 from pydantic import Field
 
 from surgbench.cli.progress import Bar, progress
-from surgbench.config import Count, Section, locate, parse_model, read_yaml
-from surgbench.errors import SurgbenchError
-from surgbench.extras import not_installed
-from surgbench.files import PARTIAL_SUFFIX, sha256_file, write_atomic
+from surgbench.cli.training_folder import (
+    load_file,
+    refuse_other_content,
+    write_accuracy,
+    write_curve,
+    write_settings,
+)
+from surgbench.config import Count, Section
+from surgbench.files import sha256_file
 from surgbench.generators.tip_masks import TipMasks, TipMaskSettings, in_published_space
 from surgbench.instrument import load_instrument
 from surgbench.keypoints.accuracy import accuracy, outcome
-from surgbench.trackers.keypoints.heatmaps.curve import draw_curve
 from surgbench.trackers.keypoints.heatmaps.detector import TipDetector
-from surgbench.trackers.keypoints.heatmaps.model import WEIGHTS, load_network
+from surgbench.trackers.keypoints.heatmaps.model import load_network
 from surgbench.trackers.keypoints.heatmaps.network import NetworkSettings
 from surgbench.trackers.keypoints.heatmaps.patches import cut_patches
-from surgbench.trackers.keypoints.heatmaps.training import LOG, STATE, Training, TrainingSettings
+from surgbench.trackers.keypoints.heatmaps.training import Training, TrainingSettings
+from surgbench.trackers.learning.weights import WEIGHTS
 
-CONFIG = "config.json"
-ACCURACY = "accuracy.json"
-CURVE = "curve.png"
+# What the curve shows beside the losses.
+SHARES = {"detected_percent": "detected %", "false_pair_percent": "false pair %"}
+ERRORS = {"median_error_px": "median error, px", "p95_error_px": "95 % error, px"}
 
 
 class Counts(Section):
@@ -60,17 +64,8 @@ def load_training(reference: str, seed: int | None, masks: int | None, epochs: i
         NotFoundError: No such file.
         ConfigError: An unknown key or a wrong value; one line.
     """
-    path = locate("training", "training file", reference)
-    content = read_yaml(path, "training")
-    parse_model(KeypointTraining, content, str(path))
-    changed: dict[str, Any] = dict(content)
-    if seed is not None:
-        changed["seed"] = seed
-    if masks is not None:
-        changed["masks"] = {**(content.get("masks") or {}), "training": masks}
-    if epochs is not None:
-        changed["training"] = {**(content.get("training") or {}), "epochs": epochs}
-    return parse_model(KeypointTraining, changed, "command line")
+    changes = {"seed": seed, "masks.training": masks, "training.epochs": epochs}
+    return load_file(KeypointTraining, reference, changes)
 
 
 def train(
@@ -86,15 +81,12 @@ def train(
             instrument, or the training diverges.
     """
     load_instrument(settings.data.instrument)
-    _refuse_other_content(out)
+    refuse_other_content(out)
     size = settings.network.input_px
     identity = {"data": settings.data.model_dump(mode="json"), "masks": settings.masks.model_dump()}
     training = Training(out, settings.network, settings.training, settings.seed, device, identity, start)
-    written = settings.model_dump(mode="json") | ({} if start is None else {"start_sha256": sha256_file(start)})
-    config = (json.dumps(written, indent=1) + "\n").encode()
-    if (out / WEIGHTS).exists() and not ((out / CONFIG).exists() and (out / CONFIG).read_bytes() == config):
-        raise SurgbenchError(f"{out}: holds a model of other settings; give another folder, or remove it")
-    write_atomic(out / CONFIG, config)
+    begun = {} if start is None else {"start_sha256": sha256_file(start)}
+    write_settings(out, settings.model_dump(mode="json") | begun)
     if training.epoch:
         say(f"{out}: goes on after {training.epoch} epochs")
     if not training.done:
@@ -104,8 +96,7 @@ def train(
         with progress("epochs", settings.training.epochs) as bar:
             bar(training.epoch)
             training.run(learnt, held_out, bar, say)
-    if not draw_curve(out / LOG, out / CURVE):
-        say(f"{out / CURVE}: left out, for {not_installed(['matplotlib'])}")
+    write_curve(out, say, training.measures, "validation masks", SHARES, ERRORS)
     network, _ = load_network(out / WEIGHTS)
     heat, apart = settings.training.least_heat, settings.training.apart_px
     detector = TipDetector(network, settings.network, heat, apart, device)
@@ -113,17 +104,8 @@ def train(
     with progress("test masks", len(test)) as bar:
         found = _measure(detector, test, bar)
     result = {"seed": settings.seed, "test_masks": len(test), **found}
-    write_atomic(out / ACCURACY, (json.dumps(result, indent=1) + "\n").encode())
+    write_accuracy(out, result)
     return result
-
-
-def _refuse_other_content(out: Path) -> None:
-    """Raise where a folder holds what no training has written."""
-    own = {WEIGHTS, CONFIG, ACCURACY, CURVE, LOG, STATE}
-    names = sorted(path.name for path in out.iterdir()) if out.is_dir() else []
-    strangers = [name for name in names if name not in own and not name.endswith(PARTIAL_SUFFIX)]
-    if strangers:
-        raise SurgbenchError(f"{out}: holds something else ('{strangers[0]}'); --out needs a new or empty folder")
 
 
 def _measure(detector: TipDetector, masks: TipMasks, bar: Bar) -> dict[str, Any]:

@@ -209,3 +209,11 @@ def test_datasets_of_blocks_that_set_other_values_lie_in_other_folders() -> None
     folders = {DatasetRequest(preset="occlusion", set={"occluders.tissue": level}).folder for level in (0.0, 0.2, 0.4)}
     assert folders == {f"occlusion-occluders.tissue-{level}" for level in (0.0, 0.2, 0.4)}
     assert DatasetRequest(preset="paper", frames=20).folder == "paper-frames-20"
+
+
+def test_what_is_set_is_left_as_it_was() -> None:
+    """A section, and then a key in it: the next preset is given the same section."""
+    told = {"readings": {"lag_frames": [0, 1]}, "readings.noise_rad": 0.5}
+    plan = plan_preset("mini", GenerationRequest(set=told))
+    assert plan.marker["preset"]["readings"]["noise_rad"] == 0.5
+    assert told == {"readings": {"lag_frames": [0, 1]}, "readings.noise_rad": 0.5}

@@ -6,14 +6,13 @@ from typing import Annotated, ClassVar
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from surgbench.config import Section
 from surgbench.contract import Mask, Observation, Plugin, Scene, View
-from surgbench.errors import DatasetError
 from surgbench.mask_sources import FoundMasks, Prompts
 from surgbench.trackers.masks.grey_parts import Thresholds, find_grey
+from surgbench.trackers.masks.images import image_of
 from surgbench.trackers.masks.own_arms import OwnArms
 
 
@@ -72,23 +71,6 @@ class ColourEdgeMasks(Plugin):
         self._before = found.mask
         mask = self._own.pick(_resized(found.mask, (width, height)), observation, view)
         return FoundMasks(mask, confidence=found.probability if mask.any() else 0.0)
-
-
-def image_of(observation: Observation, view: View) -> NDArray[np.uint8]:
-    """A view's image, ``(height, width, 3)`` uint8 RGB.
-
-    Raises:
-        DatasetError: There is none, or it has another size than the camera; one line.
-    """
-    image, camera = view.image(), view.camera
-    if image is None:
-        raise DatasetError(f"frame {observation.index} has no image, which masks are to be made from")
-    if image.shape != (camera.height, camera.width, 3):
-        shape = " x ".join(str(one) for one in image.shape)
-        raise DatasetError(
-            f"frame {observation.index}: the image is {shape}; its camera's are {camera.height} x {camera.width} x 3"
-        )
-    return np.ascontiguousarray(image)
 
 
 def _resized(mask: Mask, size: tuple[int, int]) -> Mask:

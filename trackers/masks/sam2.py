@@ -10,9 +10,10 @@ from pydantic import Field, model_validator
 
 from surgbench.config import Finite, Section
 from surgbench.contract import Mask, Observation, Plugin, Scene, View
-from surgbench.errors import ConfigError, DatasetError
+from surgbench.errors import ConfigError
 from surgbench.extras import missing
 from surgbench.mask_sources import FoundMasks, Prompts
+from surgbench.trackers.masks.images import image_of
 from surgbench.trackers.masks.sam2_video.checkpoint import (
     EXAMPLE,
     check_folder,
@@ -107,12 +108,7 @@ class Sam2Masks(Plugin):
         Raises:
             DatasetError: There is no image, or it is not of the camera's size; one line with the frame.
         """
-        image, camera = view.image(), view.camera
-        if image is None:
-            raise DatasetError(f"frame {observation.index}: there is no image, which sam2 needs")
-        if image.shape != (camera.height, camera.width, 3):
-            size, expected = f"{image.shape[1]}x{image.shape[0]}", f"{camera.width}x{camera.height}"
-            raise DatasetError(f"frame {observation.index}: the image is of {size} pixels, not of {expected}")
+        image, camera = image_of(observation, view), view.camera
         found = self._video.step(image)
         masks = np.zeros((self._arms, camera.height, camera.width), dtype=bool)
         surest = found.logits.argmax(axis=0)

@@ -10,13 +10,12 @@ from typing import Any
 import torch
 from safetensors import SafetensorError
 from safetensors.torch import save
-from torch import Tensor
+from torch import Tensor, nn
 from torch.optim import Optimizer
 
 from surgbench.errors import SurgbenchError
 from surgbench.files import write_atomic
-from surgbench.trackers.keypoints.heatmaps.model import read_tensors
-from surgbench.trackers.keypoints.heatmaps.network import HeatmapNetwork
+from surgbench.trackers.learning.weights import read_tensors
 
 Log = list[dict[str, Any]]
 
@@ -36,9 +35,7 @@ class Progress:
     best_epoch: int = -1
 
 
-def keep(
-    path: Path, identity: str, network: HeatmapNetwork, optimiser: Optimizer, progress: Progress, log: Log
-) -> None:
+def keep(path: Path, identity: str, network: nn.Module, optimiser: Optimizer, progress: Progress, log: Log) -> None:
     """Write everything that a resumed training needs, so that the file is whole or not there at all.
 
     Args:
@@ -56,7 +53,7 @@ def keep(
     write_atomic(path, save({name: tensor.cpu() for name, tensor in tensors.items()}, header))
 
 
-def resume(path: Path, identity: str, network: HeatmapNetwork, optimiser: Optimizer) -> tuple[Progress, Log]:
+def resume(path: Path, identity: str, network: nn.Module, optimiser: Optimizer) -> tuple[Progress, Log]:
     """Read what :func:`keep` wrote into a network and its optimiser, which must be made as they were then.
 
     Raises:

@@ -1,0 +1,1 @@
+"""A U-Net that tells instruments from what is behind them."""
