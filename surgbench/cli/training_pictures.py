@@ -63,7 +63,8 @@ class PictureSource(Section):
             return None
         drawn = int(seed_from(purpose="training pictures", seed=seed, part=part, source=name) % 2**31)
         told = {"name": f"{part}-{name}", **self.set}
-        return plan_preset(self.preset, GenerationRequest(self.sequences, self.frames, drawn, set=told))
+        plan: GenerationPlan = plan_preset(self.preset, GenerationRequest(self.sequences, self.frames, drawn, set=told))
+        return plan
 
 
 @dataclass(frozen=True)

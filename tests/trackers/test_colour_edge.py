@@ -175,8 +175,8 @@ def test_confidence_is_that_of_the_colours() -> None:
     ("image", "problem"),
     [
         (None, "frame 3 has no image"),
-        (np.zeros((240, 320, 3), np.uint8), "240 x 320 x 3; its camera's are 480 x 640 x 3"),
-        (np.zeros((480, 640), np.uint8), "480 x 640; its camera's"),
+        (np.zeros((240, 320, 3), np.uint8), "the image is 320 x 240 pixels, not 640 x 480"),
+        (np.zeros((480, 640), np.uint8), "the image has no three colours"),
     ],
 )
 def test_an_image_that_will_not_do_is_one_line(image: Image | None, problem: str) -> None:

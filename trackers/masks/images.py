@@ -18,9 +18,11 @@ def image_of(observation: Observation, view: View) -> NDArray[np.uint8]:
     image, camera = view.image(), view.camera
     if image is None:
         raise DatasetError(f"frame {observation.index} has no image, which masks are to be made from")
+    if image.ndim != 3 or image.shape[2] != 3:
+        raise DatasetError(f"frame {observation.index}: the image has no three colours")
     if image.shape != (camera.height, camera.width, 3):
-        shape = " x ".join(str(one) for one in image.shape)
         raise DatasetError(
-            f"frame {observation.index}: the image is {shape}; its camera's are {camera.height} x {camera.width} x 3"
+            f"frame {observation.index}: the image is {image.shape[1]} x {image.shape[0]} pixels, not {camera.width} x "
+            f"{camera.height} as its camera's are"
         )
     return np.ascontiguousarray(image)
