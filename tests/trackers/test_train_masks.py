@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from surgbench import open_dataset
 from surgbench.camera import Camera
 from surgbench.cli.training_masks import load_training, measure
-from surgbench.cli.training_pictures import PictureSource, pictures
+from surgbench.cli.training_pictures import PictureSource
 from surgbench.errors import ConfigError, SurgbenchError
 from surgbench.generators.generate import generate, plan_dataset
 from surgbench.generators.looks.sections import Images
@@ -28,6 +28,7 @@ from surgbench.trackers.masks.learned import MODEL
 from surgbench.trackers.masks.unet.looks import LookSettings, Pictures
 from surgbench.trackers.masks.unet.model import Segmenter, input_size, load_network
 from surgbench.trackers.masks.unet.network import MaskNetwork, NetworkSettings
+from surgbench.trackers.masks.unet.pictures import pictures
 from surgbench.trackers.masks.unet.training import LEAST_CHANNELS_LAST, Training, TrainingSettings, mask_loss, overlap
 
 NETWORK = NetworkSettings(width=4, input_px=64)
@@ -269,7 +270,9 @@ def test_overlap_of_masks() -> None:
 @given(st.integers(0, 2**32 - 1))
 def test_looks_move_picture_and_mask_alike(seed: int) -> None:
     """Of bars that are bright before black and stay so, what is bright is where the mask says."""
-    still = LookSettings(cut_px=(64, 32), other_backdrop=0, recolour=0, swap_colours=0, shade=0, gamma=1, blur_px=0, noise=0)
+    still = LookSettings(
+        cut_px=(64, 32), other_backdrop=0, recolour=0, swap_colours=0, shade=0, gamma=1, blur_px=0, noise=0
+    )
     bars = painted(2)
     plain = [np.where(mask[..., None] > 0, np.uint8(200), np.uint8(0)).repeat(3, axis=2) for mask in bars.masks]
     image, mask = Pictures(plain, bars.masks, 64, still).look(1, np.random.default_rng(seed))
