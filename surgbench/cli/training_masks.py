@@ -17,7 +17,7 @@ from surgbench.cli.training_folder import (
     write_curve,
     write_settings,
 )
-from surgbench.cli.training_pictures import PictureSource, identities, make_pictures, pictures
+from surgbench.cli.training_pictures import PictureSource, identities, make_pictures
 from surgbench.config import Count, Section
 from surgbench.errors import SurgbenchError
 from surgbench.files import sha256_file
@@ -25,6 +25,7 @@ from surgbench.trackers.learning.weights import WEIGHTS
 from surgbench.trackers.masks.unet.looks import LookSettings, Pictures
 from surgbench.trackers.masks.unet.model import Segmenter, load_network
 from surgbench.trackers.masks.unet.network import NetworkSettings
+from surgbench.trackers.masks.unet.pictures import pictures
 from surgbench.trackers.masks.unet.training import Training, TrainingSettings, overlap
 
 DATA = "data"

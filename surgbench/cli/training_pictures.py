@@ -1,26 +1,20 @@
-"""Pictures with the masks of their instruments, which networks learn from: made by presets, or a user's datasets."""
+"""Datasets that networks learn from: made by presets, or a user's own."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from surgbench.cli.progress import progress
 from surgbench.config import Count, Section
-from surgbench.contract import Mask
-from surgbench.dataset.open import open_as
-from surgbench.errors import DatasetError
+from surgbench.dataset.open import open_dataset
 from surgbench.generation import GenerationPlan, GenerationRequest
 from surgbench.generators.dispatch import plan_preset
 from surgbench.generators.resumable import generate
 from surgbench.randomness import seed_from
-from surgbench.tasks.instrument.dataset import InstrumentDataset, Sequence
 
 
 class PictureSource(Section):
@@ -67,21 +61,6 @@ class PictureSource(Section):
         return plan
 
 
-@dataclass(frozen=True)
-class Picture:
-    """A picture and what is to be found in it.
-
-    Attributes:
-        image: ``(height, width, 3)`` uint8 RGB.
-        mask: ``(height, width)`` bool: where an instrument shows.
-        name: Sequence and frame, for messages.
-    """
-
-    image: NDArray[np.uint8]
-    mask: Mask
-    name: str
-
-
 def make_pictures(
     sources: dict[str, PictureSource], part: str, seed: int, folder: Path, jobs: int, say: Callable[[str], None]
 ) -> list[Path]:
@@ -122,40 +101,5 @@ def identities(sources: dict[str, PictureSource], part: str, seed: int) -> dict[
     found: dict[str, Any] = {}
     for name, source in sources.items():
         plan = source.plan(name, part, seed)
-        found[name] = open_as(InstrumentDataset, str(source.dataset)).hash if plan is None else plan.marker
+        found[name] = open_dataset(str(source.dataset)).hash if plan is None else plan.marker
     return found
-
-
-def pictures(path: Path | str) -> Iterator[Picture]:
-    """The pictures of a dataset, one after the other.
-
-    Raises:
-        DatasetError: It has no images, or a file is missing or damaged; one line.
-    """
-    dataset = open_as(InstrumentDataset, path)
-    for sequence in dataset.sequences:
-        yield from pictures_of(sequence)
-
-
-def pictures_of(sequence: Sequence) -> Iterator[Picture]:
-    """The pictures of one sequence.
-
-    What shows of the instruments is the truth in generated data, where arms that are not rendered are left out; in a
-    recording it is what somebody has marked.
-
-    Raises:
-        DatasetError: It has no images, or a file is missing or damaged; one line.
-    """
-    if not sequence.entry.images:
-        raise DatasetError(f"{sequence.root}: sequence '{sequence.id}' has no images to learn from")
-    read = sequence.clean_mask if sequence.entry.truth else sequence.mask
-    look = sequence.look()
-    shown = tuple(look["arms"]) if look is not None else sequence.arms
-    kinds: tuple[str, ...] = shown
-    if shown == sequence.arms:
-        kinds = sequence.instance_kinds or (("both",) if "both" in sequence.entry.kinds else shown)
-    for frame in range(sequence.frames):
-        image = sequence.image(frame)
-        assert image is not None
-        masks = [read(kind, frame) for kind in kinds]
-        yield Picture(image, np.logical_or.reduce(masks), f"sequence {sequence.id}, frame {frame}")

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from surgbench import open_dataset
 from surgbench.camera import Camera
 from surgbench.cli.training_masks import load_training, measure
-from surgbench.cli.training_pictures import PictureSource, pictures
+from surgbench.cli.training_pictures import PictureSource
 from surgbench.errors import ConfigError, SurgbenchError
 from surgbench.generators.generate import generate, plan_dataset
 from surgbench.generators.looks.sections import Images
@@ -28,6 +28,7 @@ from surgbench.trackers.masks.learned import MODEL
 from surgbench.trackers.masks.unet.looks import LookSettings, Pictures
 from surgbench.trackers.masks.unet.model import Segmenter, input_size, load_network
 from surgbench.trackers.masks.unet.network import MaskNetwork, NetworkSettings
+from surgbench.trackers.masks.unet.pictures import pictures
 from surgbench.trackers.masks.unet.training import LEAST_CHANNELS_LAST, Training, TrainingSettings, mask_loss, overlap
 
 NETWORK = NetworkSettings(width=4, input_px=64)
