@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from commandline import MASK_MAKERS, RUN, records, surgbench
+from commandline import MASK_MAKERS, RUN, STRANGERS, records, surgbench
 from others import put_camera, put_video
 from small_dataset import CAMERA, DRIVER, FRAMES, make_pair, paint, states_of
 
@@ -22,6 +22,8 @@ from surgbench.tasks.instrument.dataset import InstrumentDataset
 from surgbench.tasks.instrument.made_masks import check_found
 
 SOURCE_ERROR = "mask_source_error"
+# What this is about is what it sees, not what it makes of it.
+STILL = f"{STRANGERS}:Still"
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +34,7 @@ def pictured(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def run(dataset: Path, out: Path, masks: object, *options: object, expect: int = 0) -> list[dict[str, Any]]:
     surgbench(
-        *(*RUN, "--dataset", dataset, "--tracker", "cmaes", "--masks", masks, "--out", out, *options), expect=expect
+        *(*RUN, "--dataset", dataset, "--tracker", STILL, "--masks", masks, "--out", out, *options), expect=expect
     )
     return records(out)
 
@@ -53,7 +55,7 @@ def test_true_masks_have_no_error_and_are_never_for_ranking(pictured: Path, tmp_
 def test_masks_made_of_images_are_what_the_tracker_sees(pictured: Path, tmp_path: Path) -> None:
     (record,) = run(pictured, tmp_path, maker("Bright"), "--arms", "dual")
     assert record["status"] == "ok"
-    assert record["spec"]["row_id"] == "cmaes-bright"
+    assert record["spec"]["row_id"] == "still-bright"
     # The pictures are painted with the true masks.
     assert record["errors"][SOURCE_ERROR] == [0.0] * FRAMES
     assert record["errors"]["mask_error"] == record["errors"]["mask_error_true"]

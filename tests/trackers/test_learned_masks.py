@@ -124,7 +124,7 @@ def test_a_fused_network_gives_the_same_answers() -> None:
 
 
 def test_an_image_of_another_size_is_told_in_one_line(weights: Path, small_camera: Camera) -> None:
-    for shape in ((10, 20, 3), (small_camera.height, small_camera.width)):
+    for shape in ((10, 20, 3), (small_camera.width, small_camera.height, 3)):
         with pytest.raises(DatasetError, match=r"frame 0: the image is .* pixels, not 88 x 62 as its camera's are$"):
             found(learned(model=str(weights)), small_camera, np.zeros(shape, np.uint8))
 
