@@ -92,7 +92,8 @@ class VideoImporter(Plugin):
             configuration=config.configuration(self.name),
             progress=progress,
         )
-        return [*lines, *masked.lines, *said]
+        doubts = [] if video.doubt is None else [f"warning: {video.doubt}"]
+        return [*lines, *doubts, *masked.lines, *said]
 
     def _opened(self, source: Path) -> MaskVideo:
         if self._video is None:

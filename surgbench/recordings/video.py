@@ -27,9 +27,15 @@ class MaskVideo:
         path: The file.
         size: Width and height that it must have, pixels; its own unless told.
 
+    Attributes:
+        doubt: One line where the file claims a few frames more than can be decoded; many more are refused.
+
     Raises:
-        DatasetError: It is missing, no video, of another size, or cut off; one line.
+        DatasetError: It is missing, no video, of another size, cut off, or a frame inside it cannot be decoded; one
+            line.
     """
+
+    doubt: str | None
 
     def __init__(self, path: Path, size: tuple[int, int] | None = None) -> None:
         self.place = path
@@ -45,6 +51,15 @@ class MaskVideo:
         capture.release()
         if not times or len(times) < _WHOLE * claimed:
             raise DatasetError(f"{path}: truncated or damaged video ({len(times)} of {claimed:.0f} frames)")
+        missing = _first_missing(np.array(times), rate) if len(times) < claimed else None
+        if missing is not None:
+            raise DatasetError(f"{path}: frame {missing} cannot be decoded ({len(times)} of {claimed:.0f} frames can)")
+        self.doubt = None
+        if len(times) < claimed:
+            self.doubt = (
+                f"{path.name}: {len(times)} frames can be decoded, the file claims {claimed:.0f}; if some are damaged, "
+                "whatever counts frames beside it is out of step from there on"
+            )
         self.numbers = list(range(len(times)))
         self.names = [f"{number:06d}" for number in self.numbers]
         self.times_s: FloatArray | None = _regular(np.array(times), rate)
@@ -96,6 +111,19 @@ def _quiet() -> Iterator[None]:
 
 def _size(capture: cv2.VideoCapture) -> tuple[int, int]:
     return int(capture.get(cv2.CAP_PROP_FRAME_WIDTH)), int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT))
+
+
+def _first_missing(times_s: FloatArray, rate: float) -> int | None:
+    """Number of the first frame that was passed over, by the gap that it leaves; ``None`` where there is none.
+
+    Args:
+        times_s: Of the frames that can be decoded.
+        rate: Frames per second that the file claims.
+    """
+    if not (np.isfinite(rate) and rate > 0) or len(times_s) < 2:
+        return None
+    gaps = np.flatnonzero(np.diff(times_s) * rate >= 1.5)
+    return int(gaps[0]) + 1 if len(gaps) else None
 
 
 def _regular(times_s: FloatArray, rate: float) -> FloatArray | None:

@@ -103,3 +103,17 @@ def test_what_does_not_fit_is_one_line_with_the_option(
     assert "say which is the recording: import video FILE" in refused(capsys, "video", source, out=out)
     (tmp_path / "cut.mp4").write_bytes(b"\0" * 100)
     assert "not a video that can be decoded" in refused(capsys, "video", tmp_path / "cut.mp4", out=out)
+
+
+def test_a_frame_that_cannot_be_decoded_is_told(
+    source: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shots = (np.random.default_rng(k).random((HEIGHT, WIDTH)) > 0.5 for k in range(20))
+    put_video(source / "suturing.avi", shots, codec="MJPG")
+    content = bytearray((source / "suturing.avi").read_bytes())
+    # The head of one frame's own data, behind its tag and size.
+    begin = content.index(b"00dc", len(content) // 2)
+    (source / "suturing.avi").write_bytes(content[: begin + 8] + b"\0" * 16 + content[begin + 24 :])
+    surgbench("import", "video", source, "--out", tmp_path / "data")
+    said = capsys.readouterr().err
+    assert "warning: suturing.avi: 19 frames can be decoded, the file claims 20" in said
