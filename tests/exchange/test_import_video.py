@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -110,10 +111,10 @@ def test_a_frame_that_cannot_be_decoded_is_told(
 ) -> None:
     shots = (np.random.default_rng(k).random((HEIGHT, WIDTH)) > 0.5 for k in range(20))
     put_video(source / "suturing.avi", shots, codec="MJPG")
-    content = bytearray((source / "suturing.avi").read_bytes())
-    # The head of one frame's own data, behind its tag and size.
-    begin = content.index(b"00dc", len(content) // 2)
-    (source / "suturing.avi").write_bytes(content[: begin + 8] + b"\0" * 16 + content[begin + 24 :])
+    content = (source / "suturing.avi").read_bytes()
+    # The begin of the last frame but one's own data, behind its tag and size: decoders give up there.
+    begin = [found.start() for found in re.finditer(b"00dc", content)][18] + 8
+    (source / "suturing.avi").write_bytes(content[:begin] + b"\0" * 2000 + content[begin + 2000 :])
     surgbench("import", "video", source, "--out", tmp_path / "data")
     said = capsys.readouterr().err
-    assert "warning: suturing.avi: 19 frames can be decoded, the file claims 20" in said
+    assert "warning: suturing.avi: 18 frames can be decoded, the file claims 20" in said
