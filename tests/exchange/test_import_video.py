@@ -112,7 +112,8 @@ def test_a_frame_that_cannot_be_decoded_is_told(
     shots = (np.random.default_rng(k).random((HEIGHT, WIDTH)) > 0.5 for k in range(20))
     put_video(source / "suturing.avi", shots, codec="MJPG")
     content = (source / "suturing.avi").read_bytes()
-    # The begin of the last frame but one's own data, behind its tag and size: decoders give up there. The first tag is in the head.
+    # The begin of the last frame but one's own data, behind its tag and size (the first tag is in the head): decoders
+    # give up there.
     begin = [found.start() for found in re.finditer(b"00dc", content)][19] + 8
     (source / "suturing.avi").write_bytes(content[:begin] + b"\0" * 2000 + content[begin + 2000 :])
     surgbench("import", "video", source, "--out", tmp_path / "data")
