@@ -298,6 +298,8 @@ class InstrumentTracker(Plugin):
 
     Attributes:
         one_view: It looks at the reference view alone; then it is not run where there are more.
+        reads_images: It looks at ``view.image()``; then images are in memory before the clock starts, and it is not run
+            where there are none.
 
     Example:
         One that believes that nothing moves, and what it is off by in the second frame of a needle driver in motion:
@@ -322,6 +324,7 @@ class InstrumentTracker(Plugin):
 
     task: ClassVar[str] = "instrument"
     one_view: ClassVar[bool] = False
+    reads_images: ClassVar[bool] = False
 
     def reset(self, scene: Scene, state: FloatArray, rng: np.random.Generator) -> None:
         """Start a sequence at ``state`` (``(9 * arms,)``). Untimed; everything slow belongs here."""

@@ -18,7 +18,7 @@ STEP = np.repeat([0.1, 0.005, 0.2], 3)
 class FlowTracker(InstrumentTracker):
     """Each arm is where the points of its surface have gone in the image; masks it does not look at."""
 
-    name, one_view = "flow", True
+    name, one_view, reads_images = "flow", True, True
 
     def reset(self, scene, state, rng):
         """Draw points of every link's surface, each with the direction that it faces."""

@@ -19,7 +19,8 @@ def field_options(models: Mapping[type[BaseModel], str], known: type[BaseModel] 
     """Parameters of a command, one for each field; ``None`` stands for what the command line does not say.
 
     A field's description is the help; a word in capitals at its begin (``NAME:``) stands for the value. What a field
-    keeps under ``json_schema_extra`` may name another ``option``, and one that is the same ``also``.
+    keeps under ``json_schema_extra`` may name another ``option``, and one that is the same ``also``; what is ``hidden``
+    is no option.
 
     Args:
         models: Their fields are taken, of two of one name the first; and what the help of each model's begins with.
@@ -32,7 +33,9 @@ def field_options(models: Mapping[type[BaseModel], str], known: type[BaseModel] 
     found: dict[str, Any] = {}
     for model, prefix in models.items():
         for name, field in model.model_fields.items():
-            if name not in left_out and name not in found:
+            extra = field.json_schema_extra
+            hidden = isinstance(extra, dict) and extra.get("hidden")
+            if name not in left_out and name not in found and not hidden:
                 found[name] = _option(name, field, prefix)
     return found
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from surgbench.report.row import Row
 from surgbench.reproduce.files import LEADERBOARD_CSV, LEADERBOARD_MD, RECORDS_JSON, SEQUENCES_CSV
+from surgbench.reproduce.over_sequences import SUFFIX
 from surgbench.reproduce.results import Results
 from surgbench.reproduce.sheet import Sheet
 from surgbench.reproduce.table import Definition
@@ -65,6 +66,8 @@ def _row_problems(sheet: Sheet, row: Row, sequences: list[Row]) -> list[str]:
         if error not in sheet.spreadless:
             sem = float(np.std(means, ddof=1) / math.sqrt(len(means))) if len(means) > 1 else None
             expected[f"{error}_sem"] = sem
+        if row.get(f"{error}{SUFFIX}") is not None:
+            expected[f"{error}{SUFFIX}"] = float(np.std(means, ddof=1))
     return [
         f"{LEADERBOARD_CSV}: row '{row['row_id']}': {key} is {row[key]}, but {SEQUENCES_CSV} gives {value}"
         for key, value in expected.items()

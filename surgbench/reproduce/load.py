@@ -75,6 +75,8 @@ def _with_defaults(content: dict[str, Any]) -> dict[str, Any]:
 def _with_told(content: dict[str, Any], masks: ToldMasks | None, path: Path) -> dict[str, Any]:
     """The file's content with the told mask source in rows that leave it open, and without these if there is none."""
     found = 0
+    if masks is not None:
+        _check_told(masks)
 
     def of_row(row: Any) -> list[Any]:
         nonlocal found
@@ -83,7 +85,16 @@ def _with_told(content: dict[str, Any], masks: ToldMasks | None, path: Path) -> 
         found += 1
         if masks is None:
             return []
-        return [{**row, "masks": masks.source, "options": {**row.get("options", {}), **masks.options}}]
+        name = find("mask_source", masks.source).name
+        return [
+            {
+                **row,
+                "row_id": f"{row.get('row_id')}-{name}",
+                "label": f"{row.get('label')}, masks by {name}",
+                "masks": masks.source,
+                "options": {**(row.get("options") or {}), **masks.options},
+            }
+        ]
 
     def of_block(block: Any) -> Any:
         rows = block.get("rows") if isinstance(block, dict) else None
@@ -96,6 +107,19 @@ def _with_told(content: dict[str, Any], masks: ToldMasks | None, path: Path) -> 
     if masks is not None and not found:
         raise ConfigError(f"{path}: no row of this table leaves its masks open; --masks is for those of recordings")
     return told
+
+
+def _check_told(masks: ToldMasks) -> None:
+    if masks.source in ("auto", "union", "instances"):
+        raise ConfigError(
+            f"--masks {masks.source}: is no mask source, which makes masks of images (surgbench list masks)"
+        )
+    source = find("mask_source", masks.source)
+    if not getattr(source.cls, "reads_images", False):
+        raise ConfigError(f"--masks {source.name}: makes no masks of images; see others: surgbench list masks")
+    for name in masks.options:
+        if name != source.name:
+            raise ConfigError(f"--set {name}.…: is not the mask source; options here are of '{source.name}' alone")
 
 
 def _check_row(block: Block, row: TableRow, published: Published | None) -> None:

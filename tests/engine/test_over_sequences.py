@@ -62,16 +62,34 @@ def test_tables_without_a_spread_have_no_such_part() -> None:
 def test_rows_that_leave_their_masks_open_need_to_be_told() -> None:
     plain = [row.id for _, row in load_table("table1-surgpose").table.rows()]
     assert not any("online" in id_ for id_ in plain)
-    told = ToldMasks("observed", {"observed": {}})
+    told = ToldMasks("colour-edge", {"colour-edge": {"width_px": 200}})
     rows = {row.id: row for _, row in load_table("table1-surgpose", told).table.rows()}
-    online = {"normal-cmaes-online", "normal-hybrid-online", "fast-cmaes-online", "fast-hybrid-online"}
+    online = {
+        f"{speed}-{tracker}-online-colour-edge" for speed in ("normal", "fast") for tracker in ("cmaes", "hybrid")
+    }
     assert set(rows) - set(plain) == online
-    assert {rows[id_].asked(False).model_dump()["masks"] for id_ in online} == {"observed"}
-    assert rows["normal-cmaes-online"].published == "cmaes-online"
+    for id_ in online:
+        asked = rows[id_].asked(False)
+        assert asked.model_dump()["masks"] == "colour-edge"
+        assert asked.options["colour-edge"] == {"width_px": 200}
+    assert rows["normal-cmaes-online-colour-edge"].published == "cmaes-online"
+
+
+@pytest.mark.parametrize(
+    ("told", "problem"),
+    [
+        (ToldMasks("observed"), "makes no masks of images"),
+        (ToldMasks("union"), "is no mask source"),
+        (ToldMasks("colour-edge", {"cmaes": {"iterations": 20}}), "--set cmaes.…: is not the mask source"),
+    ],
+)
+def test_rows_from_pixels_are_made_from_pixels_and_nothing_else_is_changed(told: ToldMasks, problem: str) -> None:
+    with pytest.raises(ConfigError, match=problem):
+        load_table("table1-surgpose", told)
 
 
 def test_masks_told_to_a_table_that_leaves_none_open(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(ConfigError, match="no row of this table leaves its masks open"):
-        load_table("table2", ToldMasks("observed"))
+        load_table("table2", ToldMasks("colour-edge"))
     surgbench("reproduce", "table1", "--set", "sam2.model=somewhere", expect=2)
     assert "--set: is for a mask source" in capsys.readouterr().err

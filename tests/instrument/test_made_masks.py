@@ -17,9 +17,15 @@ from surgbench.dataset.open import open_as
 from surgbench.errors import InvalidAnswerError
 from surgbench.instrument import load_instrument
 from surgbench.mask_sources import FoundMasks, Prompts
+from surgbench.records.reader import read_records
 from surgbench.silhouette import SilhouetteEvaluator
+from surgbench.suite.asked import Conditions
+from surgbench.tasks.instrument.asked import InstrumentRow
 from surgbench.tasks.instrument.dataset import InstrumentDataset
 from surgbench.tasks.instrument.made_masks import check_found
+from surgbench.tasks.instrument.plan import complete
+from surgbench.tasks.instrument.records import InstrumentRecord
+from surgbench.tasks.instrument.scenery import Scenery
 
 SOURCE_ERROR = "mask_source_error"
 # What this is about is what it sees, not what it makes of it.
@@ -139,7 +145,7 @@ def test_points_from_a_file(pictured: Path, tmp_path: Path, monkeypatch: pytest.
 @pytest.mark.parametrize(
     ("text", "line"),
     [
-        ("sequence,arm,u,v\n000,left,300,10\n", "300"),
+        ("sequence,arm,u,v\n000,left,300,10\n", "outside the picture"),
         ("sequence,arm,u,v\n000,left,0,0\n000,right,0,0\n", "lies on the background"),
     ],
 )
@@ -207,7 +213,8 @@ def test_answers_are_checked() -> None:
     # Masks of arms are dropped where there is one arm, as `View` has none of a single arm.
     assert check_found(FoundMasks(mask, (mask,)), camera, 1, "it").instance_masks is None
     assert check_found(FoundMasks(mask, (mask, mask)), camera, 2, "it").instance_masks is not None
-    for wrong in (FoundMasks(mask, (mask,)), FoundMasks(mask, confidence=1.5), FoundMasks(mask.T), None):
+    confused: Any = FoundMasks(mask, confidence=None)  # type: ignore[arg-type]
+    for wrong in (FoundMasks(mask, (mask,)), FoundMasks(mask, confidence=1.5), FoundMasks(mask.T), confused, None):
         with pytest.raises(InvalidAnswerError):
             check_found(wrong, camera, 2, "it")
 
@@ -215,3 +222,69 @@ def test_answers_are_checked() -> None:
 def test_prompts_that_do_not_match_are_refused() -> None:
     with pytest.raises(ValueError, match="do not match"):
         Prompts([np.zeros((2, 2))], [np.array([True])])
+
+
+def test_pictures_of_a_run_show_the_masks_that_its_tracker_saw(pictured: Path, tmp_path: Path) -> None:
+    run(pictured, tmp_path, maker("Bright"))
+    run(pictured, tmp_path, "observed")
+    dataset = open_as(InstrumentDataset, pictured)
+    sequence = dataset.sequence("000")
+    found = {record.spec.row_id: record for record in read_records([tmp_path]) if record.spec.unit == "000-left"}
+    bright, observed = found["still-bright"], found["still-observed"]
+    assert isinstance(bright, InstrumentRecord)
+    assert isinstance(observed, InstrumentRecord)
+    for first in (bright, observed):
+        scenery = Scenery(dataset, first)
+        for frame in (2, 0):  # in any order
+            # A source that cannot tell arms apart shows both to who tracks one.
+            assert np.array_equal(scenery.reference(frame, bright), sequence.clean_mask("both", frame))
+            assert np.array_equal(scenery.reference(frame, observed), sequence.mask("left", frame))
+
+
+def test_a_run_with_points_from_a_file_is_drawn(video: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SURGBENCH_TEST_NOTES", str(tmp_path / "notes"))
+    (tmp_path / "points.csv").write_text("arm,u,v\nleft,20,30\n")
+    start = ("--initialiser", "random", "--set", "random.hypotheses=500")
+    run(video, tmp_path / "runs", maker("Pointed"), "--prompts", tmp_path / "points.csv", *start)
+    surgbench("video", tmp_path / "runs", "--frames", 2, "--out", tmp_path / "drawn")
+    assert (tmp_path / "drawn/000.png").is_file()
+    # Asked with the same points when it is drawn as when it was run.
+    assert len({line for line in (tmp_path / "notes").read_text().splitlines()}) == 1
+
+
+def test_points_on_the_other_arm_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    dataset = make_pair(tmp_path / "pair", sequences=1, images=True, visible=("visible_left", "visible_right"))
+    b, a = (int(values[-1]) for values in np.nonzero(dataset.sequence("000").clean_mask("visible_right", 0)))
+    (tmp_path / "points.csv").write_text(f"arm,u,v\nleft,{a},{b}\nright,{a},{b}\n")
+    run(dataset.path, tmp_path / "runs", maker("Pointed"), "--prompts", tmp_path / "points.csv", expect=2)
+    assert "lies on the other arm" in capsys.readouterr().err
+
+
+def test_a_video_that_begins_without_an_instrument_is_waited_for(tmp_path: Path) -> None:
+    put_camera(tmp_path, CAMERA)
+    evaluator = SilhouetteEvaluator([load_instrument(DRIVER)], CAMERA)
+    masks = [np.zeros((CAMERA.height, CAMERA.width), dtype=bool)] * 2 + [evaluator.mask(s) for s in states_of("left")]
+    put_video(tmp_path / "late.avi", map(paint, masks), fps=10.0)
+    surgbench("import", "video", tmp_path, "--out", tmp_path / "data")
+    start = ("--initialiser", "random", "--set", "random.hypotheses=500")
+    (record,) = run(tmp_path / "data", tmp_path / "runs", maker("Bright"), *start)
+    assert record["status"] == "ok"
+    assert record["frames"]["lost"][:2] == [True, True]
+    assert record["frames"]["latency_ms"][:2] == [None, None]
+    assert record["frames"]["latency_ms"][2] > 0
+    assert record["errors"]["absent"] == [1.0, 1.0] + [0.0] * FRAMES
+    put_video(tmp_path / "dark/never.avi", map(paint, masks[:2] * 2), fps=10.0)
+    put_camera(tmp_path / "dark", CAMERA)
+    surgbench("import", "video", tmp_path / "dark", "--out", tmp_path / "nothing")
+    (record,) = run(tmp_path / "nothing", tmp_path / "none", maker("Bright"), *start, expect=1)
+    assert "no instrument shows in any of 4 masks" in record["error"]
+
+
+def test_tips_are_looked_for_in_the_masks_that_are_made(pictured: Path) -> None:
+    dataset = open_as(InstrumentDataset, pictured)
+    made, given = (
+        complete(InstrumentRow(tracker="cmaes", readings="noisy", masks=masks), Conditions(), dataset)
+        for masks in (maker("Bright"), "auto")
+    )
+    assert made.keypoints.name == "resnet18"
+    assert given.keypoints.name == "observed"

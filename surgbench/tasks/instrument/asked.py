@@ -12,6 +12,8 @@ from surgbench.suite.asked import RowRequest
 Readings = Literal["none", "noisy", "true"]
 Scored = Literal["raw", "filtered"]
 Masks = Literal["auto", "union", "instances"]
+# Points in first pictures as a specification holds them: sequence to view to arm to points (u, v, inside).
+ToldPrompts = dict[str, dict[str, dict[str, list[tuple[float, float, bool]]]]]
 OF_DATASET: tuple[Masks, ...] = ("auto", "union", "instances")
 
 
@@ -31,6 +33,7 @@ class InstrumentRow(RowRequest):
             alone, or ``instances``, what shows of each arm, besides. ``auto`` is what there is in all of the dataset's
             pairs.
         prompts: A file with points in the first pictures, for mask sources (:mod:`surgbench.prompts`).
+        told_prompts: The same as a record holds them.
         scored: Which state is recorded and scored: the tracker's own, or what the filter makes of it.
     """
 
@@ -57,6 +60,7 @@ class InstrumentRow(RowRequest):
         Path | None,
         Field(description="FILE: points on the instruments in the first pictures, for the mask source."),
     ] = None
+    told_prompts: ToldPrompts = Field(default={}, json_schema_extra={"hidden": True})
     scored: Annotated[
         Scored, Field(description="Which state is scored: the tracker's own, or what the filter makes of it.")
     ] = "raw"

@@ -20,7 +20,7 @@ from surgbench.suite.settings import Job, Plug
 from surgbench.tasks.instrument.dataset import InstrumentDataset, InstrumentUnit
 from surgbench.tasks.instrument.judge import frames_that_count, judged_columns
 from surgbench.tasks.instrument.pairs import OwnMasks, exchanged_readings, hidden, pair_errors
-from surgbench.tasks.instrument.plan import InstrumentSettings
+from surgbench.tasks.instrument.plan import InstrumentSettings, shows_own
 from surgbench.tasks.instrument.records import ANSWER_COLUMNS, ARM_COLUMNS, SHARES, SOURCE_COLUMNS, SOURCE_ERROR
 from surgbench.tasks.instrument.references import absent_from_masks, reference_errors
 from surgbench.tasks.instrument.told_prompts import told
@@ -105,21 +105,26 @@ def execute(job: Job, dataset: InstrumentDataset, run: Run, *, waits: bool = Tru
     mask_errors: list[tuple[float | None, float | None]] = []
     source_errors: list[float | None] = []
     shares: list[float] = []
+    initial: FloatArray | None = None
+    measures_source = settings.mask_source is not None and data.truth is not None
     own_masks = OwnMasks.of(data)
     status, error, trace, initialise_s = "ok", None, None, None
     try:
         with run.child(WORKER, settings.conditions.timeout_s) as child:
-            first = _first_seen(data, job.frames) if waits else 0
+            first = _first_seen(settings, data, job.frames) if waits else 0
             child.send("setup", child_setup(job, data, first))
             child.ready()
             run.advance(first)
             for frame in range(first, job.frames):
                 run.check()
                 observation = data.observation(frame)
-                if frame == first:
-                    initialise_s, state = _initialise(child, job, data, observation, run)
-                    answers, mask_errors = [waiting(state)] * first, [(None, None)] * first
-                    source_errors, shares = [None] * first, [0.0] * first
+                if initial is None:
+                    initialise_s, initial = _initialise(child, job, data, observation, run)
+                    if initial is None:
+                        run.advance(1)
+                        continue
+                    answers, mask_errors = [waiting(initial)] * frame, [(None, None)] * frame
+                    source_errors, shares = [None] * frame, [0.0] * frame
                 child.send("step", observation)
                 clean = None if data.truth is None else data.sequence.clean_mask(data.unit.kind, frame)
                 answer: Answer = child.receive()[1]
@@ -127,10 +132,13 @@ def execute(job: Job, dataset: InstrumentDataset, run: Run, *, waits: bool = Tru
                 seen = observation.mask if answer.seen is None else answer.seen.mask
                 shares.append(float(seen.mean()))
                 mask_errors.append(_mask_errors(evaluator, answer.state, seen, clean))
-                source_errors.append(None if clean is None else metrics.masks_apart(seen, data.true_mask(frame)))
+                if measures_source:
+                    source_errors.append(metrics.masks_apart(seen, data.true_mask(frame)))
                 if own_masks is not None:
                     own_masks.measure(frame, answer.state)
                 run.advance(1)
+            if initial is None:
+                raise ChildProblemError("failed", NOTHING_SEEN.format(job.frames))
     except ChildProblemError as problem:
         status, error, trace = problem.status, f"frame {len(answers)}: {problem}", problem.traceback
     away = out_of_view(data, len(answers), shares)
@@ -145,25 +153,38 @@ def execute(job: Job, dataset: InstrumentDataset, run: Run, *, waits: bool = Tru
         "frames": _frames(answers),
         "errors": _errors(data, answers, mask_errors, own_masks, away)
         | _judged(settings, data, answers, mask_errors)
-        | ({} if settings.mask_source is None or data.truth is None else {SOURCE_ERROR: source_errors}),
+        | ({SOURCE_ERROR: source_errors} if measures_source else {}),
+        **({} if initial is None or settings.mask_source is None else {"initial_state": initial.tolist()}),
         **({} if hint is None else {"hint": hint}),
     }
 
 
-def _first_seen(data: UnitData, frames: int) -> int:
-    """The frame that tracking begins with.
+NOTHING_SEEN = "no instrument shows in any of {} masks: nothing to start from"
+
+
+def _first_seen(settings: InstrumentSettings, data: UnitData, frames: int) -> int:
+    """The frame that tracking begins with, or where masks are made of images, the first of which one is made.
 
     Raises:
         ChildProblemError: There is none.
     """
-    first = data.first_seen(frames)
+    made = not shows_own(settings.mask_source) and not settings.initialiser.needs_truth
+    first = 0 if made else data.first_seen(frames)
     if first is None:
-        raise ChildProblemError("failed", f"no instrument shows in any of {frames} masks: nothing to start from")
+        raise ChildProblemError("failed", NOTHING_SEEN.format(frames))
+    if first and settings.prompts.get(data.sequence.id):
+        raise ChildProblemError("failed", f"points are told of frame 0, but no instrument shows before frame {first}")
     return first
 
 
-def _initialise(child: Child, job: Job, data: UnitData, observation: Observation, run: Run) -> tuple[float, FloatArray]:
-    """Have the state of the first frame with an instrument found; returns the seconds that it took, and the state."""
+def _initialise(
+    child: Child, job: Job, data: UnitData, observation: Observation, run: Run
+) -> tuple[float, FloatArray | None]:
+    """Have the state of the first frame with an instrument found.
+
+    Returns:
+        The seconds that it took, and the state; ``None`` where the mask that was made shows no instrument.
+    """
     label = f"{own_settings(job).row_id} {job.unit.id}: finding the instrument"
     first = observation.index
     child.send("first", observation, first_truth(job, data, first), true_states(job, data, first))
@@ -171,7 +192,7 @@ def _initialise(child: Child, job: Job, data: UnitData, observation: Observation
         run.stage(label, message[1])
     run.stage(label, 1.0)
     state, elapsed_s = message[1:]
-    return float(elapsed_s), state
+    return float(elapsed_s), None if state is None else np.asarray(state)
 
 
 def _mask_errors(

@@ -22,10 +22,13 @@ def answers(job: Job, dataset: InstrumentDataset) -> Iterator[Answer]:
     data = unit_data(job, dataset)
     first = data.first_seen(job.frames)
     loop = Loop(child_setup(job, data, first or 0))
+    state = None
     for frame in range(job.frames if first is None else first, job.frames):
         observation = data.observation(frame)
-        if frame == first:
-            state = loop.initialise(observation, first_truth(job, data, first), lambda _: None)
-            loop.begin(observation, state, true_states(job, data, first))
-            yield from [waiting(state)] * first
+        if state is None:
+            state = loop.initialise(observation, first_truth(job, data, frame), lambda _: None)
+            if state is None:
+                continue
+            loop.begin(observation, state, true_states(job, data, frame))
+            yield from [waiting(state)] * frame
         yield loop.step(observation)

@@ -41,10 +41,15 @@ def check_found(value: Any, camera: Camera, arms: int, who: str) -> FoundMasks:
     found = value if isinstance(value, FoundMasks) else FoundMasks(value)
     alone = found.instance_masks
     if alone is not None:
+        if not isinstance(alone, (tuple, list)):
+            raise InvalidAnswerError(f"{who} returned {type(alone).__name__}, not a mask of every arm")
         if len(alone) != arms:
             raise InvalidAnswerError(f"{who} returned masks of {len(alone)} arms, not of {arms}")
         alone = tuple(check_mask(mask, camera, who) for mask in alone)
-    confidence = float(found.confidence)
+    try:
+        confidence = float(found.confidence)
+    except (TypeError, ValueError):
+        raise InvalidAnswerError(f"{who} returned a confidence that is no number ({found.confidence!r})") from None
     if not 0 <= confidence <= 1:
         raise InvalidAnswerError(f"{who} returned a confidence of {confidence:g}, not of 0 to 1")
     return FoundMasks(check_mask(found.mask, camera, who), alone if arms > 1 else None, confidence)
@@ -64,8 +69,8 @@ def _hand(image: NDArray[np.uint8] | None) -> NDArray[np.uint8] | None:
 
 
 def masks_alone(view: View) -> View:
-    """A view's masks without anything else that it holds, to be sent on."""
-    return View(view.camera, view.T_view_cam, view.mask, view.instance_masks)
+    """A view's mask of all arms without anything else that it holds, to be sent on."""
+    return View(view.camera, view.T_view_cam, view.mask)
 
 
 @dataclass(frozen=True)

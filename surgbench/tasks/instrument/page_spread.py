@@ -13,8 +13,9 @@ from surgbench.reproduce.table import Block
 from surgbench.tasks.instrument.columns import PAGE_RATE, PAGE_TRUE_MASK
 
 SPREAD_NOTE = (
-    "Means over sequences ± their standard deviation. Masks are held against the clean ones. Frames per second are of "
-    "everything that a user waits for: making masks or finding markers, predicting, searching."
+    "Means over sequences, here single arms, ± their standard deviation. Masks are held against the clean ones. Frames "
+    "per second are of everything that a user waits for: making masks or finding markers, predicting, searching; they "
+    "are of the runs that times were measured on, one at a time."
 )
 
 

@@ -11,9 +11,9 @@ from surgbench.suite.asked import Conditions
 from surgbench.suite.plug import plug
 from surgbench.suite.settings import Plug, Settings, flat
 from surgbench.suite.slices import cut
-from surgbench.tasks.instrument.asked import OF_DATASET, InstrumentRow, Masks, Readings, Scored
+from surgbench.tasks.instrument.asked import OF_DATASET, InstrumentRow, Masks, Readings, Scored, ToldPrompts
 from surgbench.tasks.instrument.dataset import InstrumentDataset
-from surgbench.tasks.instrument.told_prompts import ToldPrompts, read
+from surgbench.tasks.instrument.told_prompts import read
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ class InstrumentSettings(Settings):
             words.append("the filtered state is scored")
         if self.conditions.device != "cpu":
             words.append(f"device {self.conditions.device}")
-        usual_keypoints = usual_keypoint_source(self.readings)
+        usual_keypoints = usual_keypoint_source(self.readings, shows_own(self.mask_source))
         for one, usual in ((self.filter, "kalman"), (self.keypoints, usual_keypoints), (self.initialiser, "truth")):
             if one.name != usual or one.changed:
                 words.append(f"{one.kind} {_named(one)}")
@@ -95,7 +95,7 @@ def _named(one: Plug) -> str:
 
 
 def usual_keypoint_source(readings: Readings, has_tips: bool = True) -> str:
-    """The keypoint source of rows that name none: without readings only what the mask shows."""
+    """The keypoint source of rows that name none: without readings, or with masks made of images, what those show."""
     return "observed" if readings != "none" and has_tips else "resnet18"
 
 
@@ -118,7 +118,8 @@ def complete(row: InstrumentRow, conditions: Conditions, dataset: InstrumentData
     )
     state_filter = plug("filter", row.filter, row.options, "instrument")
     has_tips = all(sequence.entry.keypoints for sequence in dataset.sequences)
-    keypoints_name = row.keypoints or usual_keypoint_source(row.readings, has_tips)
+    source = _mask_source(row, initialiser, dataset)
+    keypoints_name = row.keypoints or usual_keypoint_source(row.readings, has_tips and shows_own(source))
     keypoints = plug("keypoints", keypoints_name, row.options, "instrument")
     for one, other in ((initialiser, "random"), (state_filter, "kalman")):
         if one.needs_truth and not has_truth:
@@ -133,7 +134,6 @@ def complete(row: InstrumentRow, conditions: Conditions, dataset: InstrumentData
         _check_view(row.view, conditions.arms, dataset)
         if getattr(find("tracker", row.tracker).cls, "one_view", False):
             raise ConfigError(f"--view {row.view}: tracker '{tracker.name}' looks at one view alone")
-    source = _mask_source(row, initialiser, dataset)
     _check_images(tracker, row.tracker, row.view, dataset)
     joints, seen = "-joints" if row.readings != "none" else "", "" if row.view is None else f"-{row.view}"
     made = "" if source is None else f"-{source.name}"
@@ -148,7 +148,7 @@ def complete(row: InstrumentRow, conditions: Conditions, dataset: InstrumentData
         keypoints=keypoints,
         readings=row.readings,
         view=row.view,
-        masks=shown_masks(_of_dataset(row.masks), conditions.arms, dataset) if _shows_own(source) else "union",
+        masks=shown_masks(_of_dataset(row.masks), conditions.arms, dataset) if shows_own(source) else "union",
         scored=row.scored,
         mask_source=source,
         prompts=_prompts(row, source, dataset),
@@ -159,7 +159,7 @@ def _of_dataset(masks: str) -> Masks:
     return next((one for one in OF_DATASET if one == masks), "auto")
 
 
-def _shows_own(source: Plug | None) -> bool:
+def shows_own(source: Plug | None) -> bool:
     """Whether the masks that are shown are the dataset's."""
     return source is None or not getattr(find("mask_source", source.reference).cls, "reads_images", False)
 
@@ -193,7 +193,7 @@ def _mask_source(row: InstrumentRow, initialiser: Plug, dataset: InstrumentDatas
         raise ConfigError(
             f"--masks {source.name}: '{dataset.name}' has no masks; surgbench list masks has other sources"
         )
-    if getattr(cls, "needs_prompts", False) and row.prompts is None and not initialiser.needs_truth:
+    if getattr(cls, "needs_prompts", False) and not _has_points(row, initialiser):
         unmarked = next((sequence for sequence in dataset.sequences if not sequence.entry.labels), None)
         if unmarked is not None:
             raise ConfigError(
@@ -203,10 +203,14 @@ def _mask_source(row: InstrumentRow, initialiser: Plug, dataset: InstrumentDatas
     return source
 
 
+def _has_points(row: InstrumentRow, initialiser: Plug) -> bool:
+    return row.prompts is not None or bool(row.told_prompts) or initialiser.needs_truth
+
+
 def _prompts(row: InstrumentRow, source: Plug | None, dataset: InstrumentDataset) -> ToldPrompts:
     if row.prompts is None:
-        return {}
-    if source is None or _shows_own(source):
+        return row.told_prompts
+    if source is None or shows_own(source):
         raise ConfigError("--prompts: is for a mask source that reads images; give one by --masks NAME")
     return read(row.prompts, dataset)
 

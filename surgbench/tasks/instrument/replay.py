@@ -11,6 +11,7 @@ import numpy as np
 
 from surgbench.contract import Trace, View
 from surgbench.errors import SurgbenchError
+from surgbench.geometry import FloatArray
 from surgbench.registry import create, find
 from surgbench.suite.asked import Conditions
 from surgbench.suite.plan import complete
@@ -19,7 +20,6 @@ from surgbench.tasks.instrument.asked import InstrumentRow
 from surgbench.tasks.instrument.dataset import InstrumentDataset, InstrumentUnit
 from surgbench.tasks.instrument.execute import child_setup, true_states, unit_data
 from surgbench.tasks.instrument.made_masks import MaskMaker, with_images_read
-from surgbench.tasks.instrument.plan import InstrumentSettings
 from surgbench.tasks.instrument.told_prompts import of_views
 from surgbench.tasks.instrument.worker import Loop
 
@@ -47,12 +47,11 @@ def replay_traces(record: dict[str, Any], dataset: InstrumentDataset, frames: li
     job = _job(record, dataset)
     data = unit_data(job, dataset)
     last = min(max(frames, default=-1), len(recorded["index"]) - 1)
-    first = data.first_seen(last + 1)
-    if first is None:
+    first = _first(recorded)
+    if first is None or first > last:
         return {}  # no tracker was asked about these frames
     loop = Loop(child_setup(job, data, first))
-    beginning = data.observation(first)
-    loop.begin(beginning, np.array(recorded["start"][first]), true_states(job, data, first))
+    loop.begin(data.observation(first), _initial(record, first), true_states(job, data, first))
     traces: dict[int, Trace] = {}
     for frame in range(first, last + 1):
         trace = Trace() if frame in frames else None
@@ -83,7 +82,7 @@ def made_masks(record: dict[str, Any], dataset: InstrumentDataset) -> Iterator[t
     """
     job, recorded = _job(record, dataset), record["frames"]
     data, frames = unit_data(job, dataset), len(recorded["index"])
-    first = data.first_seen(frames)
+    first = _first(recorded)
     if first is None:
         return
     setup = child_setup(job, data, first)
@@ -94,9 +93,19 @@ def made_masks(record: dict[str, Any], dataset: InstrumentDataset) -> Iterator[t
         start = np.array(recorded["start"][frame])
         observation = with_images_read(replace(data.observation(frame), start=start))
         if frame == first:
-            known = start if setup.initialiser.needs_truth else None
+            known = _initial(record, first) if setup.initialiser.needs_truth else None
             maker.reset(setup.scene, observation, of_views(setup.prompts, setup.scene, observation, known))
         yield frame, maker.make(observation).observation.views[0]
+
+
+def _first(recorded: dict[str, Any]) -> int | None:
+    """The frame that tracking began with: the first that took a tracker's time; ``None`` where none did."""
+    return next((frame for frame, took in enumerate(recorded["latency_ms"]) if took is not None), None)
+
+
+def _initial(record: dict[str, Any], first: int) -> FloatArray:
+    """The state that tracking began with; of runs on the dataset's masks, with the joints of its readings."""
+    return np.array(record.get("initial_state") or record["frames"]["start"][first])
 
 
 def _job(record: dict[str, Any], dataset: InstrumentDataset) -> Job:
@@ -115,14 +124,11 @@ def _job(record: dict[str, Any], dataset: InstrumentDataset) -> Job:
         scored=spec.get("scored", "raw"),
         options={plug["name"]: plug["options"] for plug in plugs if plug["options"]},
         frames=spec.get("frames_limit"),
+        told_prompts=spec.get("prompts", {}),
     )
     conditions = Conditions(
         arms="single" if len(spec["arms"]) == 1 else "dual", seed=spec["seed"], device=spec.get("device", "cpu")
     )
     unit = InstrumentUnit(spec["unit"], spec["sequence"], tuple(spec["arms"]), spec["mask_kind"])
     frames, everything = record["unit_frames"], record.get("dataset_frames", 0)
-    settings = complete(row, conditions, dataset)
-    if "prompts" in spec:
-        assert isinstance(settings, InstrumentSettings)
-        settings = replace(settings, prompts=spec["prompts"])
-    return Job(settings, dataset.name, dataset.hash, unit, frames, everything, spec["repeat"])
+    return Job(complete(row, conditions, dataset), dataset.name, dataset.hash, unit, frames, everything, spec["repeat"])

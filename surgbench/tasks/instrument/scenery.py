@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from surgbench.camera.change_of_view import ChangeOfView
-from surgbench.contract import Mask, View
+from surgbench.contract import Mask
 from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument
 from surgbench.report.drawing import REFERENCE_COLOUR, Colour, Picture, draw_contours, draw_dots, grey, scaled, tint
@@ -19,12 +17,7 @@ from surgbench.state import split_arms
 from surgbench.tasks.instrument.dataset import InstrumentDataset
 from surgbench.tasks.instrument.dataset import Sequence as Recording
 from surgbench.tasks.instrument.records import InstrumentRecord
-
-
-def _made_again(record: InstrumentRecord, dataset: InstrumentDataset) -> Iterator[tuple[int, View]]:
-    from surgbench.tasks.instrument.replay import made_masks
-
-    return made_masks(json.loads(record.path.read_text(encoding="utf-8")), dataset)
+from surgbench.tasks.instrument.seen_masks import SeenMasks, source_of
 
 
 @dataclass
@@ -72,7 +65,7 @@ class Scenery:
 
     Args:
         dataset: The dataset that the unit is of.
-        record: Any record of the unit.
+        record: A run on it, whose masks are drawn where no other run is told.
         view: Auxiliary view to look from; the endoscope unless told.
     """
 
@@ -87,8 +80,8 @@ class Scenery:
         self.instruments: list[Instrument] = [dataset.instrument(named[arm]) for arm in self._arms]
         self._auxiliary = None if view is None else self.recording.auxiliary(view)
         self.camera = self.recording.camera if self._auxiliary is None else self._auxiliary.camera
-        self._made = None if spec.mask_source is None else _made_again(record, dataset)
-        self._kept: dict[int, NDArray[np.uint8]] = {}
+        self._dataset, self._record = dataset, record
+        self._seen: dict[str, SeenMasks] = {}
         self._evaluator: SilhouetteEvaluator = SilhouetteEvaluator(self.instruments, self.camera)
 
     @property
@@ -96,26 +89,23 @@ class Scenery:
         """Whether this is another view than the endoscope's."""
         return self._auxiliary is not None
 
-    def reference(self, frame: int) -> Mask:
-        """The mask that the tracker saw: the dataset's, or what its mask source made; empty where there was none."""
-        if self._auxiliary is None and self._made is not None:
-            return self._made_mask(frame)
+    def reference(self, frame: int, record: InstrumentRecord | None = None) -> Mask:
+        """The mask that a run's tracker saw, empty where there was none.
+
+        Args:
+            frame: Which.
+            record: The run; the first one unless told.
+        """
+        run = record or self._record
+        source = source_of(run)
+        if self._auxiliary is None and source is not None:
+            if source not in self._seen:
+                self._seen[source] = SeenMasks(self._dataset, run)
+            return self._seen[source].mask(frame)
         seen = self._auxiliary or self.recording
         if self.kind not in seen.entry.kinds:
-            return self._nothing
+            return np.zeros((self.camera.height, self.camera.width), dtype=bool)
         return seen.mask(self.kind, frame)
-
-    def _made_mask(self, frame: int) -> Mask:
-        # A source follows the sequence, so that masks of later frames need those before.
-        while self._made is not None and frame not in self._kept:
-            reached, view = next(self._made, (frame, None))
-            self._kept[reached] = np.packbits(self._nothing if view is None else view.mask)
-        flat = np.unpackbits(self._kept[frame], count=self._nothing.size)
-        return flat.reshape(self._nothing.shape).view(np.bool_)
-
-    @property
-    def _nothing(self) -> Mask:
-        return np.zeros((self.camera.height, self.camera.width), dtype=bool)
 
     def ground(self, frame: int) -> Picture:
         """The image, or the mask in grey where there is none."""
@@ -189,7 +179,7 @@ class Scenery:
         # Where masks are laid over, thin lines will do.
         thickness = max(1, round(picture.shape[1] / 600)) if filled else max(2, round(picture.shape[1] / 400))
         broad = thickness if filled else thickness + 2
-        reference = self.reference(frame)
+        reference = self.reference(frame, shots[0].record if shots else None)
         if filled and not shots:
             tint(picture, reference[part], REFERENCE_COLOUR)
         draw_contours(picture, reference, REFERENCE_COLOUR, broad, scale, (left, top))

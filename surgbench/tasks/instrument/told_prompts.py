@@ -11,11 +11,11 @@ from surgbench.errors import ConfigError
 from surgbench.geometry import FloatArray
 from surgbench.mask_sources import Prompts
 from surgbench.prompts import OWN_VIEW, Pictures, check_on_instrument, prompts_from_state, read_prompts
+from surgbench.tasks.instrument.asked import ToldPrompts
 from surgbench.tasks.instrument.dataset import InstrumentDataset, Sequence
 from surgbench.tasks.instrument.format import Arm
 
-# As a specification holds them: sequence to view to arm to points (u, v, inside).
-ToldPrompts = dict[str, dict[str, dict[str, list[tuple[float, float, bool]]]]]
+BOTH = "both"
 
 
 def read(path: Path, dataset: InstrumentDataset) -> ToldPrompts:
@@ -35,15 +35,28 @@ def read(path: Path, dataset: InstrumentDataset) -> ToldPrompts:
     found = read_prompts(path, pictures)
     for id_, views in found.items():
         sequence = dataset.sequence(id_)
-        own = views.get(OWN_VIEW)
-        if own is not None and sequence.entry.truth and "both" in sequence.entry.kinds:
-            problem = check_on_instrument(own, sequence.clean_mask("both", 0))
+        for view, prompts in views.items():
+            problem = _off(prompts, sequence, view)
             if problem is not None:
-                raise ConfigError(f"{path}: sequence '{id_}': {problem}")
+                where = f"sequence '{id_}'" if view == OWN_VIEW else f"sequence '{id_}', view '{view}'"
+                raise ConfigError(f"{path}: {where}: {problem}")
     return {
         id_: {view: _listed(prompts, dataset.sequence(id_).arms) for view, prompts in views.items()}
         for id_, views in found.items()
     }
+
+
+def _off(prompts: Prompts, sequence: Sequence, view: str) -> str | None:
+    """One line on a point that is not on its arm in a first picture of which the truth is known."""
+    if not sequence.entry.truth:
+        return None
+    shown = sequence if view == OWN_VIEW else sequence.auxiliary(view)
+    kinds = shown.entry.kinds
+    if BOTH not in kinds:
+        return None
+    visible = [f"visible_{arm}" for arm in sequence.arms]
+    alone = [shown.clean_mask(kind, 0) for kind in visible] if set(visible) <= set(kinds) else None
+    return check_on_instrument(prompts, shown.clean_mask(BOTH, 0), alone)
 
 
 def _listed(prompts: Prompts, arms: tuple[Arm, ...]) -> dict[str, list[tuple[float, float, bool]]]:

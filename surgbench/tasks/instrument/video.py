@@ -124,7 +124,11 @@ def contact_sheet(
     heads = beside([heading(f"frame {frame}", width, TITLE_PX) for frame in frames], _GAP)
     side = rows[0].shape[1] - heads.shape[1]
     top = beside([strip(side, heads.shape[0]), heads])
-    seen = "mask, tips and marked points in the data" if side_by_side else "reference mask, as the trackers saw it"
+    seen = (
+        "mask that was seen, tips and marked points in the data"
+        if side_by_side
+        else "reference mask, as the trackers saw it"
+    )
     entries = [(seen, REFERENCE_COLOUR)]
     entries += [(f"estimate: {shot.title}", shot.colour) for shot in shots]
     return below([top, below(rows, _GAP), legend(entries, top.shape[1], TITLE_PX)])

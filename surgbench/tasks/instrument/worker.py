@@ -20,6 +20,7 @@ from surgbench.contract import Estimate, Observation, Scene, TimedFilter, Trace,
 from surgbench.errors import InvalidAnswerError
 from surgbench.geometry import FloatArray
 from surgbench.mask_sources import Prompts
+from surgbench.metrics import OUT_OF_VIEW_SHARE
 from surgbench.processes.service import Tell, serve_parent
 from surgbench.randomness import generator
 from surgbench.registry import create, find
@@ -187,13 +188,19 @@ class Loop:
 
     def initialise(
         self, observation: Observation, truth: FloatArray | None, progress: Callable[[float], None]
-    ) -> FloatArray:
-        """State of the frame that tracking begins with, by the initialiser, ``(9 * arms,)``, joints within limits."""
+    ) -> FloatArray | None:
+        """State of the frame that tracking begins with, by the initialiser, ``(9 * arms,)``, joints within limits.
+
+        ``None`` where masks are made and this one shows no instrument, so that the next frame is to be tried.
+        """
         setup, scene = self._setup, self._scene
         self._keypoints.reset(scene)
         # With the truth there are points on the instruments before there are masks.
         if not setup.initialiser.needs_truth:
             observation = self._first_masks(observation, None)
+            prompted = any(points is not None for points in setup.prompts)
+            if self._masks is not None and not prompted and observation.mask.mean() < OUT_OF_VIEW_SHARE:
+                return None
         observation = self._keypoints.show(observation)
         initialiser = self._make(setup.initialiser)
         with self._keypoints.blamed():
@@ -330,7 +337,8 @@ class Service:
             observation, first_truth, truth = content
             state = self._loop.initialise(observation, first_truth, lambda fraction: tell("progress", fraction))
             elapsed_s = time.perf_counter() - begin
-            self._loop.begin(observation, state, truth)
+            if state is not None:
+                self._loop.begin(observation, state, truth)
             return ("initialised", state, elapsed_s)
         return ("answer", self._loop.step(*content))
 

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from torch.nn import functional
 
 from surgbench.geometry import FloatArray
+from surgbench.processes.torch_threads import one_thread
 
 MEAN, STANDARD_DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 # What is kept of a frame only as long as masks of the frames near it are remembered.
@@ -95,7 +96,8 @@ class VideoObjects:
         # The network chooses among its masks by this, but does not tell.
         hook = self._network.mask_decoder.register_forward_hook(lambda *call: overlaps.append(call[2][1].max()))
         try:
-            output = self._network(inference_session=self._session, frame_idx=self._frame, frame=pixels)
+            with one_thread():  # so that a run made again gives the same masks
+                output = self._network(inference_session=self._session, frame_idx=self._frame, frame=pixels)
         finally:
             hook.remove()
         logits = functional.interpolate(output.pred_masks.float(), self._size, mode="bilinear", align_corners=False)
