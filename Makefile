@@ -37,7 +37,7 @@ types: $(SETUP)
 	$(BIN)/mypy
 
 unit: $(SETUP)
-	$(BIN)/$(PYTEST)
+	$(BIN)/$(PYTEST) -m "not long"
 
 # The only check that the wheel holds every file and works from another folder. What the code does, `unit` has said.
 WHEEL_TESTS := test_packaging test_installed
@@ -49,10 +49,10 @@ wheel-test: $(SETUP)
 		../../../$(BIN)/$(PYTEST) -c ../../../pyproject.toml --rootdir ../../.. \
 		$(WHEEL_TESTS:%=../../../tests/engine/%.py)
 
-# Only what is skipped without the extras. Types are not checked again: pyproject.toml has mypy pass over what the extras
+# Only what is skipped without the extras, and what takes longest. Types are not checked again: pyproject.toml has mypy pass over what the extras
 # install, so that its verdict is the same.
 extras-test: $(EXTRAS)
-	$(BIN)/$(PYTEST) -m extras
+	$(BIN)/$(PYTEST) -m "extras or long"
 
 # What `surgbench reproduce table1` runs besides: TuRBO, figures, and an LLVM for Mitsuba's gradient. Without the last one
 # row is skipped, which the first line of its output says.

@@ -37,8 +37,13 @@ def stranger(name: str, **how: float) -> Subject:
     return Subject(f"{STRANGERS}:{name}", **how)  # type: ignore[arg-type]
 
 
+SOUND = sorted(name for name, found in discover("tracker").items() if found.problem is None)
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("name", sorted(name for name, found in discover("tracker").items() if found.problem is None))
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.long) if name in QUICK else name for name in SOUND]
+)
 def test_every_tracker_of_ours_keeps_the_rules(name: str) -> None:
     reason = find("tracker", name).unavailable
     if reason is not None:

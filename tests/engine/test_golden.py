@@ -24,11 +24,13 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_settings_of_all_rows_of_all_tables(found: dict[str, Any]) -> None:
     assert found["settings"] == GOLDEN["settings"]
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_datasets_are_the_same_bytes_here_and_the_same_numbers_elsewhere(found: dict[str, Any]) -> None:
     for name, golden_dataset in GOLDEN["datasets"].items():
         made = found["datasets"][name]
@@ -40,6 +42,7 @@ def test_datasets_are_the_same_bytes_here_and_the_same_numbers_elsewhere(found: 
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_estimates_of_all_trackers(found: dict[str, Any]) -> None:
     assert set(found["estimates"]) >= set(GOLDEN["estimates"])  # a machine may have what another lacks
     for row, estimates in GOLDEN["estimates"].items():

@@ -29,6 +29,7 @@ def script() -> ModuleType:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_datasets_and_estimates_of_an_older_processor(script: ModuleType, tmp_path: Path) -> None:
     """Numba is left as it is: it would compile everything anew. The script does that too."""
     old = {name: value for one in ("numpy", "torch", "blas") for name, value in script.PROCESSORS[one].items()}

@@ -31,6 +31,8 @@ from surgbench.tasks.instrument.records import (
     PAIR_COUNTS,
     PAIR_ERRORS,
     REFERENCE_ERRORS,
+    SOURCE_COLUMNS,
+    SOURCE_ERROR,
     InstrumentFrames,
     InstrumentRecord,
 )
@@ -74,10 +76,10 @@ def test_a_strangers_class_runs(dataset: Path, tmp_path: Path, capsys: pytest.Ca
 def test_a_record_holds_what_its_model_declares(dataset: Path, tmp_path: Path) -> None:
     surgbench(*RUN, "--dataset", dataset, "--tracker", f"{STRANGERS}:Still", "--out", tmp_path)
     for record in records(tmp_path):
-        # Old versions rendered masks, and said how long that took.
-        assert set(record["frames"]) == set(InstrumentFrames.model_fields) - {"latency_masks_ms", *ARM_COLUMNS}
+        # Of masks that are made, and of pairs, there is more.
+        assert set(record["frames"]) == set(InstrumentFrames.model_fields) - {*SOURCE_COLUMNS, *ARM_COLUMNS}
         # What is said of recordings, which have no truth, or of pairs, is not said where there is one arm with truth.
-        elsewhere = {*JUDGED, *REFERENCE_ERRORS, ABSENT, *PAIR_COUNTS, *PAIR_ERRORS}
+        elsewhere = {*JUDGED, *REFERENCE_ERRORS, ABSENT, *PAIR_COUNTS, *PAIR_ERRORS, SOURCE_ERROR}
         assert set(record["errors"]) == set(InstrumentRecord.error_names) - elsewhere
 
 

@@ -486,6 +486,7 @@ def interrupted(command: list[str], out: Path, masks: int) -> tuple[int, str]:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_ctrl_c_with_workers_leaves_no_wrong_mask(tmp_path: Path) -> None:
     (tmp_path / "preset.yaml").write_text("name: few\npairs: 1\nframes: 32\n")
     plan = plan_dataset(load_preset(tmp_path / "preset.yaml"))

@@ -51,6 +51,7 @@ def trained(folder: Path, patches: Patches, settings: TrainingSettings = SHORT, 
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_it_learns(tmp_path: Path, patches: Patches) -> None:
     trained(tmp_path, patches, SHORT.model_copy(update={"epochs": 40, "learning_rate": 0.01}))
     log = list(csv.DictReader((tmp_path / "log.csv").read_text().splitlines()))

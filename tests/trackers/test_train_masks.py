@@ -98,7 +98,7 @@ def test_it_learns(tmp_path: Path, bars: Pictures) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("width", [NETWORK.width, LEAST_CHANNELS_LAST])
+@pytest.mark.parametrize("width", [NETWORK.width, pytest.param(LEAST_CHANNELS_LAST, marks=pytest.mark.long)])
 def test_gradients_are_right_in_either_memory_format(tmp_path: Path, bars: Pictures, width: int) -> None:
     """Against double precision, which takes other kernels."""
     network = NETWORK.model_copy(update={"width": width})
@@ -118,7 +118,7 @@ def test_gradients_are_right_in_either_memory_format(tmp_path: Path, bars: Pictu
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("width", [NETWORK.width, LEAST_CHANNELS_LAST])
+@pytest.mark.parametrize("width", [NETWORK.width, pytest.param(LEAST_CHANNELS_LAST, marks=pytest.mark.long)])
 def test_an_interrupted_training_ends_like_an_uninterrupted_one(tmp_path: Path, bars: Pictures, width: int) -> None:
     """To the last bit: the weights, and the log but for its times; in either memory format."""
     network = NETWORK.model_copy(update={"width": width})

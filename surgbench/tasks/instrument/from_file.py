@@ -23,7 +23,7 @@ from surgbench.tasks.instrument.dataset import InstrumentDataset, InstrumentUnit
 from surgbench.tasks.instrument.estimates_file import ArmEstimates, EstimatesFile, read_estimates
 from surgbench.tasks.instrument.execute import execute
 from surgbench.tasks.instrument.plan import InstrumentSettings
-from surgbench.tasks.instrument.records import ANSWER_COLUMNS
+from surgbench.tasks.instrument.records import ANSWER_COLUMNS, SOURCE_COLUMNS
 
 FROM_FILE = "from file"
 # Takes the place of the plug-ins that another program has instead, or has not.
@@ -187,4 +187,4 @@ class _File:
             "standard_deviations": np.concatenate(told) if known else None,
             "latency_ms": max(times) if times else None,
         }
-        return SimpleNamespace(**{**dict.fromkeys(ANSWER_COLUMNS), **answer})
+        return SimpleNamespace(**{**dict.fromkeys((*ANSWER_COLUMNS, *SOURCE_COLUMNS, "seen")), **answer})
