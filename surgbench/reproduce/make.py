@@ -6,7 +6,7 @@ from collections.abc import Collection
 from dataclasses import replace
 from pathlib import Path
 
-from surgbench.errors import SurgbenchError
+from surgbench.errors import DatasetError, SurgbenchError
 from surgbench.files import write_atomic
 from surgbench.report.figures import FIGURE_PNG, check_matplotlib
 from surgbench.report.frame import csv_text, to_frame
@@ -118,9 +118,16 @@ def render(definition: Definition, folder: Path) -> Path:
     """Write ``leaderboard.md`` again from the other files, after a change of the table's words.
 
     Raises:
-        SurgbenchError: The files are not there or damaged, or it cannot be written.
+        SurgbenchError: The files are not there or damaged, lack a row, or it cannot be written.
     """
-    _write(folder / LEADERBOARD_MD, find_task(definition.table.task).sheet.page(definition, read_results(folder)))
+    results = read_results(folder)
+    there = {row["row_id"] for row in results.rows}
+    missing = [row.id for _, row in definition.table.rows() if row.id not in there]
+    if missing:
+        raise DatasetError(
+            f"{folder / LEADERBOARD_CSV}: has no row '{missing[0]}' of the table; run it (--row {missing[0]})"
+        )
+    _write(folder / LEADERBOARD_MD, find_task(definition.table.task).sheet.page(definition, results))
     return folder / LEADERBOARD_MD
 
 

@@ -9,12 +9,15 @@ import pytest
 from commandline import surgbench
 from fabricate import record, write
 
-from surgbench.errors import ConfigError
+from surgbench.errors import ConfigError, DatasetError
 from surgbench.records.reader import read_records
 from surgbench.reproduce.load import ToldMasks, load_table
+from surgbench.reproduce.make import render
 from surgbench.reproduce.over_sequences import FRAMES_PER_SECOND, SUFFIX, spread_over_sequences
 from surgbench.reproduce.published import Figure
 from surgbench.tasks.instrument.page_spread import spread_table
+
+RESULTS = Path(__file__).parents[2] / "results"
 
 
 def test_every_sequence_weighs_the_same_however_long_it_is(tmp_path: Path) -> None:
@@ -93,3 +96,11 @@ def test_masks_told_to_a_table_that_leaves_none_open(capsys: pytest.CaptureFixtu
         load_table("table2", ToldMasks("colour-edge"))
     surgbench("reproduce", "table1", "--set", "sam2.model=somewhere", expect=2)
     assert "--set: is for a mask source" in capsys.readouterr().err
+
+
+def test_a_page_is_not_written_of_files_that_lack_a_row() -> None:
+    folder = RESULTS / "table2"
+    before = (folder / "leaderboard.md").read_bytes()
+    with pytest.raises(DatasetError, match=r"has no row 'gd-10' of the table; run it \(--row gd-10\)"):
+        render(load_table("table1"), folder)
+    assert (folder / "leaderboard.md").read_bytes() == before
