@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import warnings
 from typing import Any
 
 from surgbench.errors import ConfigError
@@ -56,5 +57,7 @@ def use(variant: str) -> Any:
     # To change it there and back compiles a dozen of Mitsuba's integrators anew.
     if mi is None or mi.variant() != variant:
         mi = load_mitsuba()
-        mi.set_variant(variant)
+        with warnings.catch_warnings():  # and after some hundred frames it says that this takes time
+            warnings.filterwarnings("ignore", message="The AST-transforming decorator", category=RuntimeWarning)
+            mi.set_variant(variant)
     return mi
