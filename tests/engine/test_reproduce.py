@@ -436,6 +436,7 @@ def test_only_rows_with_a_published_one_are_compared(definition: Definition, res
     }
 
 
+@pytest.mark.slow
 def test_what_this_machine_lacks_is_said_first(monkeypatch: pytest.MonkeyPatch, definition: Definition) -> None:
     from surgbench.reproduce.work import lacking
     from surgbench.trackers.adam_mitsuba import AdamMitsubaTracker

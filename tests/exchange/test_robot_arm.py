@@ -39,6 +39,7 @@ def imported(source: Path, *options: object) -> InstrumentDataset:
     return open_as(InstrumentDataset, source.with_name("data"))
 
 
+@pytest.mark.slow
 def test_readings_put_the_wrist_where_the_arm_has_it(source: Path) -> None:
     (sequence,) = imported(source).sequences
     np.testing.assert_array_equal(sequence.arm_joints("left"), JOINTS)
@@ -46,6 +47,7 @@ def test_readings_put_the_wrist_where_the_arm_has_it(source: Path) -> None:
     assert sequence.kinematics("left") is None  # where the arm's base is, nobody knows
 
 
+@pytest.mark.slow
 def test_an_arm_of_ones_own_is_kept_in_the_dataset(source: Path) -> None:
     mine = source / "mine.yaml"
     mine.write_text(json.dumps(load_arm("classic_420006").model_dump(mode="json")))  # which is YAML, too
@@ -64,6 +66,7 @@ def test_an_unknown_arm_is_one_line(source: Path, capsys: pytest.CaptureFixture[
     assert not out.exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("missing", [(), (1,)], ids=["even", "a frame is missing"])
 def test_late_readings_are_moved_with_all_six_joints(source: Path, missing: tuple[int, ...]) -> None:
     """What was read a thirtieth of a second later belongs here: every joint, and what trackers are given of them."""

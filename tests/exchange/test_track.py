@@ -168,6 +168,7 @@ def test_what_is_wrong_is_one_line_and_leaves_nothing(
         assert {path.name for path in tmp_path.iterdir()} == before
 
 
+@pytest.mark.slow
 def test_a_camera_s_video_is_tracked_by_masks_made_of_it(
     masks: list[np.ndarray], camera: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

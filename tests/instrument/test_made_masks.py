@@ -49,6 +49,7 @@ def maker(name: str) -> str:
     return f"{MASK_MAKERS}:{name}"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("arms", ["single", "dual"])
 def test_true_masks_have_no_error_and_are_never_for_ranking(pictured: Path, tmp_path: Path, arms: str) -> None:
     for record in run(pictured, tmp_path, "truth", "--arms", arms):
@@ -72,6 +73,7 @@ def test_masks_made_of_images_are_what_the_tracker_sees(pictured: Path, tmp_path
         assert whole >= sum(each)
 
 
+@pytest.mark.slow
 def test_a_mask_that_is_not_there_is_an_error_of_one(pictured: Path, tmp_path: Path) -> None:
     """A picture of both arms is no mask of one of them: what a source gives is measured against that arm alone."""
     left, right = run(pictured, tmp_path, maker("Bright"))
@@ -82,6 +84,7 @@ def test_a_mask_that_is_not_there_is_an_error_of_one(pictured: Path, tmp_path: P
             assert error == pytest.approx(1 - own.sum() / both.sum())
 
 
+@pytest.mark.slow
 def test_the_dataset_s_own_masks_are_measured_where_that_is_asked(pictured: Path, tmp_path: Path) -> None:
     (record,) = run(pictured, tmp_path / "a", "observed", "--arms", "dual")
     (plain,) = run(pictured, tmp_path / "b", "union", "--arms", "dual")
@@ -90,6 +93,7 @@ def test_the_dataset_s_own_masks_are_measured_where_that_is_asked(pictured: Path
     assert SOURCE_ERROR not in plain["errors"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("source", "status", "line"),
     [
@@ -106,11 +110,13 @@ def test_what_a_source_does_wrong_is_one_line(
     assert line in record["error"]
 
 
+@pytest.mark.slow
 def test_every_frame_is_asked_about_once_and_in_turn(pictured: Path, tmp_path: Path) -> None:
     (record,) = run(pictured, tmp_path, maker("Counts"), "--arms", "dual")
     assert record["errors"][SOURCE_ERROR] == [0.0] * FRAMES
 
 
+@pytest.mark.slow
 def test_points_on_the_instruments_come_from_the_first_estimate(
     pictured: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -128,6 +134,7 @@ def test_points_on_the_instruments_come_from_the_first_estimate(
         assert all(mask[int(v), int(u)] for u, v in own)
 
 
+@pytest.mark.slow
 def test_points_from_a_file(pictured: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SURGBENCH_TEST_NOTES", str(tmp_path / "notes"))
     sequence = open_as(InstrumentDataset, pictured).sequence("000")
@@ -171,6 +178,7 @@ def video(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root / "data"
 
 
+@pytest.mark.slow
 def test_a_video_without_masks_is_tracked_by_masks_made_of_it(video: Path, tmp_path: Path) -> None:
     start = ("--initialiser", "random", "--set", "random.hypotheses=2000")
     (record,) = run(video, tmp_path, maker("Bright"), *start)
@@ -224,6 +232,7 @@ def test_prompts_that_do_not_match_are_refused() -> None:
         Prompts([np.zeros((2, 2))], [np.array([True])])
 
 
+@pytest.mark.slow
 def test_pictures_of_a_run_show_the_masks_that_its_tracker_saw(pictured: Path, tmp_path: Path) -> None:
     run(pictured, tmp_path, maker("Bright"))
     run(pictured, tmp_path, "observed")
@@ -241,6 +250,7 @@ def test_pictures_of_a_run_show_the_masks_that_its_tracker_saw(pictured: Path, t
             assert np.array_equal(scenery.reference(frame, observed), sequence.mask("left", frame))
 
 
+@pytest.mark.slow
 def test_a_run_with_points_from_a_file_is_drawn(video: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SURGBENCH_TEST_NOTES", str(tmp_path / "notes"))
     (tmp_path / "points.csv").write_text("arm,u,v\nleft,20,30\n")
@@ -260,6 +270,7 @@ def test_points_on_the_other_arm_are_refused(tmp_path: Path, capsys: pytest.Capt
     assert "lies on the other arm" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_video_that_begins_without_an_instrument_is_waited_for(tmp_path: Path) -> None:
     put_camera(tmp_path, CAMERA)
     evaluator = SilhouetteEvaluator([load_instrument(DRIVER)], CAMERA)

@@ -60,6 +60,7 @@ def test_the_arms_of_a_recording_are_instances(tmp_path: Path) -> None:
     assert make_pair(tmp_path / "without", truth=False).sequences[0].instance_kinds == ("left", "right")
 
 
+@pytest.mark.slow
 def test_masks_are_what_there_is_and_each_arm_has_its_own_confidence(tmp_path: Path) -> None:
     (tmp_path / "half.py").write_text(TRACKER)
     make_pair(tmp_path / "told", sequences=1, visible=BOTH, name="told")
@@ -86,6 +87,7 @@ def test_masks_are_what_there_is_and_each_arm_has_its_own_confidence(tmp_path: P
     assert sorted(row["masks"] for row in rows) == ["instances", "union", "union"]
 
 
+@pytest.mark.slow
 def test_a_row_of_single_arms_has_no_column_of_masks(tmp_path: Path) -> None:
     (tmp_path / "still.py").write_text(
         TRACKER.replace("np.array(share)", "0.5").replace("np.array([False, observation.index == 1])", "False")
@@ -199,6 +201,7 @@ class Tracker:
 """
 
 
+@pytest.mark.slow
 def test_a_run_tells_swaps_and_what_was_said_of_hidden_arms(tmp_path: Path) -> None:
     """The tracker starts each frame from the truth, and names the arms wrongly from the fifth frame on."""
     (tmp_path / "exchanging.py").write_text(EXCHANGING)

@@ -78,6 +78,7 @@ def iou(one: Mask, other: Mask) -> float:
     return float((one & other).sum() / (one | other).sum())
 
 
+@pytest.mark.slow
 @given(
     angle_rad=st.floats(0, 2 * np.pi),
     shift_px=st.floats(-80, 80),

@@ -271,6 +271,7 @@ print(json.dumps(answer))
 """
 
 
+@pytest.mark.slow
 def test_adam_mitsuba_follows_the_gradient_of_the_engine() -> None:
     """In a process of its own: Mitsuba's variant and Dr.Jit's threads are set for a whole process."""
     problem = mitsuba_backends.llvm_problem()
