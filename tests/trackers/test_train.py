@@ -20,12 +20,12 @@ from surgbench.trackers.keypoints.heatmaps.model import load_network
 from surgbench.trackers.keypoints.heatmaps.network import HeatmapNetwork, NetworkSettings
 from surgbench.trackers.keypoints.heatmaps.patches import Patches, cut_patches
 from surgbench.trackers.keypoints.heatmaps.training import (
-    LEAST_CHANNELS_LAST,
     Training,
     TrainingSettings,
     target_heat,
 )
 from surgbench.trackers.keypoints.resnet18 import MODELS
+from surgbench.trackers.learning.course import LEAST_CHANNELS_LAST
 
 NETWORK = NetworkSettings(width=4, head=4, input_px=32)
 SHORT = TrainingSettings(epochs=3, batch=8, bfloat16=False)

@@ -24,12 +24,13 @@ from surgbench.generators.generate import generate, plan_dataset
 from surgbench.generators.looks.sections import Images
 from surgbench.generators.presets import Preset
 from surgbench.tasks.instrument.dataset import InstrumentDataset
+from surgbench.trackers.learning.course import LEAST_CHANNELS_LAST
 from surgbench.trackers.masks.learned import MODEL
 from surgbench.trackers.masks.unet.looks import LookSettings, Pictures
 from surgbench.trackers.masks.unet.model import Segmenter, input_size, load_network
 from surgbench.trackers.masks.unet.network import MaskNetwork, NetworkSettings
 from surgbench.trackers.masks.unet.pictures import pictures
-from surgbench.trackers.masks.unet.training import LEAST_CHANNELS_LAST, Training, TrainingSettings, mask_loss, overlap
+from surgbench.trackers.masks.unet.training import Training, TrainingSettings, mask_loss, overlap
 
 NETWORK = NetworkSettings(width=4, input_px=64)
 SHORT = TrainingSettings(epochs=3, batch=4, looks=2, bfloat16=False)

@@ -28,6 +28,10 @@ from surgbench.trackers.learning.checkpoint import Progress, keep, resume
 
 STATE = "training.safetensors"
 LOG = "log.csv"
+# A narrower network is trained with its channels first: the gradient of a short cut's weights, a 1 x 1 convolution of
+# stride 2, comes out wrong in oneDNN with channels last and fewer than a vector register holds (8 with AVX2, 16 with
+# AVX-512), and it writes where it must not (https://github.com/uxlfoundation/oneDNN/issues/6035).
+LEAST_CHANNELS_LAST = 16
 
 
 class CourseSettings(Section):
@@ -73,17 +77,16 @@ class Course(Generic[Learnt]):
 
     Args:
         folder: Where the best weights so far, the log, and what a resumed training needs are written after every epoch.
-        make: The network, its first weights drawn from PyTorch's global generator.
+        network: Size of the network, with a ``width``.
         settings: How it is trained.
         seed: Of the first weights, and of the order and looks of the examples.
         device: ``"cpu"`` or ``"cuda"``.
         identity: What else the result depends on, as JSON can hold it: a folder with another one is not gone on with.
-        memory_format: Of the network.
-        start: The file with the weights to start from, and how they are read; random ones unless told.
+        start: A model of the same size whose weights are the first; random ones unless told.
 
     Raises:
-        SurgbenchError: The folder holds a training with other settings, or a damaged one, or the start cannot be read;
-            one line.
+        SurgbenchError: The folder holds a training with other settings, or a damaged one, or the start is no model of
+            this size; one line.
     """
 
     measures: ClassVar[tuple[str, ...]]
@@ -91,27 +94,28 @@ class Course(Generic[Learnt]):
     def __init__(
         self,
         folder: Path,
-        make: Callable[[], Any],
+        network: Any,
         settings: CourseSettings,
         seed: int,
         device: str,
         identity: Mapping[str, Any],
-        memory_format: torch.memory_format,
-        start: tuple[Path, Callable[[Path], nn.Module]] | None = None,
+        start: Path | None = None,
     ) -> None:
+        self._size = network
         self._folder, self._seed, self._device = folder, seed, device
         self._settings: Any = settings
-        whole = {"training": settings.model_dump(), "seed": seed, **identity}
+        whole = {"training": settings.model_dump(), "seed": seed, "network": network.model_dump(), **identity}
         if start is not None:
-            whole["start"] = sha256_file(start[0])
+            whole["start"] = sha256_file(start)
         self._identity = json.dumps(whole, sort_keys=True)
         with torch.random.fork_rng():
             torch.manual_seed(seed_from(purpose="first weights", seed=seed) % 2**63)
-            self._network = make()
+            self._network = self._make()
         if start is not None:
-            self._network.load_state_dict(start[1](start[0]).state_dict())
-        self._format = memory_format
-        self._network.to(device, memory_format=memory_format)
+            self._network.load_state_dict(self._first_weights(start).state_dict())
+        last = network.width >= LEAST_CHANNELS_LAST
+        self._format = torch.channels_last if last else torch.contiguous_format
+        self._network.to(device, memory_format=self._format)
         # The same steps in the same order whatever the learning rate is now: it is set before each.
         self._optimiser = torch.optim.AdamW(self._network.parameters(), lr=0.0, weight_decay=settings.weight_decay)
         self._state = Progress()
@@ -179,6 +183,20 @@ class Course(Generic[Learnt]):
     def _validate(self, examples: Learnt) -> tuple[float, dict[str, float | None]]:
         """The mean loss, and the measures; the network is in ``eval`` mode."""
         raise NotImplementedError
+
+    def _make(self) -> Any:
+        """The network, its first weights drawn from PyTorch's global generator."""
+        raise NotImplementedError
+
+    def _load(self, path: Path) -> tuple[nn.Module, Any]:
+        """A network from a file, and its size."""
+        raise NotImplementedError
+
+    def _first_weights(self, path: Path) -> nn.Module:
+        weights, size = self._load(path)
+        if size != self._size:
+            raise SurgbenchError(f"{path}: a network of {size}, not of {self._size}")
+        return weights
 
     def _save(self) -> None:
         """Write the weights, which are the best so far."""

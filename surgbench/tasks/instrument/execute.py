@@ -130,7 +130,8 @@ def execute(job: Job, dataset: InstrumentDataset, run: Run, *, waits: bool = Tru
                 answer: Answer = child.receive()[1]
                 answers.append(answer)
                 seen = observation.mask if answer.seen is None else answer.seen.mask
-                shares.append(float(seen.mean()))
+                if not data.has_masks:
+                    shares.append(float(seen.mean()))
                 mask_errors.append(_mask_errors(evaluator, answer.state, seen, clean))
                 if measures_source:
                     source_errors.append(metrics.masks_apart(seen, data.true_mask(frame)))
@@ -310,7 +311,7 @@ def out_of_view(data: UnitData, frames: int, shares: Sequence[float] = ()) -> ND
         data: A unit.
         frames: How many.
         shares: Of the picture that the mask which the tracker saw takes in each frame: what there is to go by where a
-            recording has no masks of its own.
+            recording has no masks of its own; not looked at elsewhere.
     """
     if data.truth is None and not data.has_masks:
         return np.repeat(np.array(shares)[:, None] < metrics.OUT_OF_VIEW_SHARE, len(data.unit.arms), axis=1)

@@ -14,7 +14,6 @@ from torch import Tensor
 from torch.nn import functional
 
 from surgbench.config import Positive
-from surgbench.errors import SurgbenchError
 from surgbench.geometry import FloatArray
 from surgbench.keypoints.accuracy import Outcome, accuracy, pair_errors
 from surgbench.trackers.keypoints.heatmaps.model import load_network, save_network
@@ -23,11 +22,6 @@ from surgbench.trackers.keypoints.heatmaps.patches import Patches
 from surgbench.trackers.keypoints.heatmaps.peaks import exactly_two, find_peaks
 from surgbench.trackers.learning.course import Course, CourseSettings
 from surgbench.trackers.learning.weights import WEIGHTS
-
-# A narrower network is trained with its channels first: the gradient of a short cut's weights, a 1 x 1 convolution of
-# stride 2, comes out wrong in oneDNN with channels last and fewer than a vector register holds (8 with AVX2, 16 with
-# AVX-512), and it writes where it must not (https://github.com/uxlfoundation/oneDNN/issues/6035).
-LEAST_CHANNELS_LAST = 16
 
 
 class TrainingSettings(CourseSettings):
@@ -47,21 +41,7 @@ class TrainingSettings(CourseSettings):
 
 
 class Training(Course[Patches]):
-    """One training, in a folder.
-
-    Args:
-        folder: Where the best weights so far, the log, and what a resumed training needs are written after every epoch.
-        network: Size of the network.
-        settings: How it is trained.
-        seed: Of the first weights, and of the order and looks of the masks.
-        device: ``"cpu"`` or ``"cuda"``.
-        identity: What else the result depends on, as JSON can hold it: a folder with another one is not gone on with.
-        start: A model of the same size whose weights are the first; random ones unless told.
-
-    Raises:
-        SurgbenchError: The folder holds a training with other settings, or a damaged one, or the start is no model of
-            this size; one line.
-    """
+    """One training of the network, in a folder; see :class:`Course`."""
 
     measures: ClassVar[tuple[str, ...]] = (
         "detected_percent",
@@ -70,33 +50,12 @@ class Training(Course[Patches]):
         "false_pair_percent",
     )
 
-    def __init__(
-        self,
-        folder: Path,
-        network: NetworkSettings,
-        settings: TrainingSettings,
-        seed: int,
-        device: str,
-        identity: dict[str, Any],
-        start: Path | None = None,
-    ) -> None:
-        self._size = network
-        super().__init__(
-            folder,
-            lambda: HeatmapNetwork(network),
-            settings,
-            seed,
-            device,
-            {"network": network.model_dump(), **identity},
-            torch.channels_last if network.width >= LEAST_CHANNELS_LAST else torch.contiguous_format,
-            None if start is None else (start, self._first_weights),
-        )
+    def _make(self) -> HeatmapNetwork:
+        return HeatmapNetwork(self._size)
 
-    def _first_weights(self, path: Path) -> HeatmapNetwork:
-        weights, size = load_network(path)
-        if size != self._size:
-            raise SurgbenchError(f"{path}: a network of {size}, not of {self._size}")
-        return weights
+    def _load(self, path: Path) -> tuple[HeatmapNetwork, NetworkSettings]:
+        loaded: tuple[HeatmapNetwork, NetworkSettings] = load_network(path)
+        return loaded
 
     def _save(self) -> None:
         save_network(self._folder / WEIGHTS, self._network, self._size)

@@ -13,15 +13,12 @@ from torch import Tensor
 from torch.nn import functional
 
 from surgbench.config import Count, NotNegative, Positive
-from surgbench.errors import SurgbenchError
 from surgbench.trackers.learning.course import Course, CourseSettings
 from surgbench.trackers.learning.weights import WEIGHTS
 from surgbench.trackers.masks.unet.looks import Pictures
 from surgbench.trackers.masks.unet.model import Segmenter, load_network, normalised, save_network
 from surgbench.trackers.masks.unet.network import MaskNetwork, NetworkSettings
 
-# As the keypoint source's network (surgbench.trackers.keypoints.heatmaps.training), for the same fault of oneDNN's.
-LEAST_CHANNELS_LAST = 16
 EDGE_PX = 5
 
 
@@ -45,51 +42,16 @@ class TrainingSettings(CourseSettings):
 
 
 class Training(Course[Pictures]):
-    """One training, in a folder.
-
-    Args:
-        folder: Where the best weights so far, the log, and what a resumed training needs are written after every epoch.
-        network: Size of the network.
-        settings: How it is trained.
-        seed: Of the first weights, and of the order and looks of the pictures.
-        device: ``"cpu"`` or ``"cuda"``.
-        identity: What else the result depends on, as JSON can hold it: a folder with another one is not gone on with.
-        start: A model of the same size whose weights are the first; random ones unless told.
-
-    Raises:
-        SurgbenchError: The folder holds a training with other settings, or a damaged one, or the start is no model of
-            this size; one line.
-    """
+    """One training of the network, in a folder; see :class:`Course`."""
 
     measures: ClassVar[tuple[str, ...]] = ("iou", "worst_iou")
 
-    def __init__(
-        self,
-        folder: Path,
-        network: NetworkSettings,
-        settings: TrainingSettings,
-        seed: int,
-        device: str,
-        identity: dict[str, Any],
-        start: Path | None = None,
-    ) -> None:
-        self._size = network
-        super().__init__(
-            folder,
-            lambda: MaskNetwork(network),
-            settings,
-            seed,
-            device,
-            {"network": network.model_dump(), **identity},
-            torch.channels_last if network.width >= LEAST_CHANNELS_LAST else torch.contiguous_format,
-            None if start is None else (start, self._first_weights),
-        )
+    def _make(self) -> MaskNetwork:
+        return MaskNetwork(self._size)
 
-    def _first_weights(self, path: Path) -> MaskNetwork:
-        weights, size = load_network(path)
-        if size != self._size:
-            raise SurgbenchError(f"{path}: a network of {size}, not of {self._size}")
-        return weights
+    def _load(self, path: Path) -> tuple[MaskNetwork, NetworkSettings]:
+        loaded: tuple[MaskNetwork, NetworkSettings] = load_network(path)
+        return loaded
 
     def _save(self) -> None:
         save_network(self._folder / WEIGHTS, self._network, self._size)
