@@ -214,6 +214,13 @@ def test_images_are_needed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
     assert "masks bright works on images, and sequence '000'" in capsys.readouterr().err
 
 
+def test_a_view_that_is_not_there_is_one_line(
+    pictured: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run(pictured, tmp_path, maker("Bright"), "--view", "nowhere", expect=2)
+    assert "--view nowhere: 'pairs' has no auxiliary views" in capsys.readouterr().err
+
+
 def test_answers_are_checked() -> None:
     camera = Camera(width=4, height=3, fx=5, fy=5, cx=2, cy=1)
     mask = np.zeros((3, 4), dtype=bool)

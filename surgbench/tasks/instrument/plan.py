@@ -110,6 +110,8 @@ def complete(row: InstrumentRow, conditions: Conditions, dataset: InstrumentData
         from surgbench.silhouette.torch_evaluator import check_device
 
         check_device(conditions.device)
+    if row.view is not None:
+        _check_view(row.view, conditions.arms, dataset)
     has_truth = all(sequence.entry.truth for sequence in dataset.sequences)
     has_readings = all(sequence.entry.readings for sequence in dataset.sequences)
     tracker = plug("tracker", row.tracker, row.options, "instrument")
@@ -130,10 +132,8 @@ def complete(row: InstrumentRow, conditions: Conditions, dataset: InstrumentData
         raise ConfigError(f"--readings true needs ground truth, which '{dataset.name}' has not; use --joints")
     if row.readings == "noisy" and not has_readings:
         raise ConfigError(f"'{dataset.name}' has no joint readings; leave --joints out")
-    if row.view is not None:
-        _check_view(row.view, conditions.arms, dataset)
-        if getattr(find("tracker", row.tracker).cls, "one_view", False):
-            raise ConfigError(f"--view {row.view}: tracker '{tracker.name}' looks at one view alone")
+    if row.view is not None and getattr(find("tracker", row.tracker).cls, "one_view", False):
+        raise ConfigError(f"--view {row.view}: tracker '{tracker.name}' looks at one view alone")
     _check_images(tracker, row.tracker, row.view, dataset)
     joints, seen = "-joints" if row.readings != "none" else "", "" if row.view is None else f"-{row.view}"
     made = "" if source is None else f"-{source.name}"
