@@ -28,7 +28,11 @@ class ViewpointScene:
         workspace: Where the camera must not be.
         distance_m: d_t, from camera to feature.
         dt_s: Seconds between steps.
-        servo_lag_s: Time constant with which the joints follow their set points.
+        servo_lag_s: Time constant with which the joints follow their set points, as far as is known beforehand.
+        registration_error_m: What the registration leaves between the arms' touched points, on average: the error that
+            it states of itself.
+        future: ``(T, 4, 4)`` the whole trial's features as they will be measured, NaN where they will not be; for
+            controllers that say :attr:`ViewpointTracker.foresees` alone, ``None`` for all others.
     """
 
     arm: CameraArm
@@ -37,6 +41,8 @@ class ViewpointScene:
     distance_m: float
     dt_s: float
     servo_lag_s: float
+    registration_error_m: float = 0.0
+    future: FloatArray | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,6 +121,8 @@ class ViewpointTracker(Plugin):
     """
 
     task: ClassVar[str] = "viewpoint"
+    # An optimum in hindsight, to hold the others against: it is told the future, which no controller can know.
+    foresees: ClassVar[bool] = False
 
     def reset(self, scene: ViewpointScene, joints: FloatArray, rng: np.random.Generator) -> None:
         """Start a trial with the arm at rest at ``joints`` (``(6,)``). Untimed; everything slow belongs here."""

@@ -10,6 +10,9 @@ the camera's position p and axes x, y, z, the feature's position f and normal n,
 - ``pn_mm``, distance to the naive pose: ``|p - p_naive|``, where p_naive is, as in the published code, only half way
   from where the arm is if that is farther than 15 mm; ``pn_full_mm`` has no such step.
 
+``view_cost`` is one number of the errors that a controller can do something about, for regret: each over what is as bad
+as one degree of the view, squared and added (:data:`COST_TOLERANCES`).
+
 The twins ``*_true`` take the feature's and the base's true poses at one moment, i + 1. The camera's point is the one
 that is controlled, on the tool's axis; how the optical centres are mounted is not part of these errors.
 """
@@ -24,7 +27,9 @@ from surgbench.viewpoint.placement import UP, Violations, naive_pose, violations
 from surgbench.viewpoint.simulator import Course
 from surgbench.viewpoint.trial import Trial
 
-POSE_ERRORS = ("vva_deg", "fd_mm", "pf_deg", "an_deg", "pn_mm", "pn_full_mm")
+POSE_ERRORS = ("vva_deg", "fd_mm", "pf_deg", "an_deg", "pn_mm", "pn_full_mm", "view_cost")
+# Our choice: as bad as each other are a degree out of view or level, 5 mm of distance, and 50 mm off the naive place.
+COST_TOLERANCES = {"vva_deg": 1.0, "fd_mm": 5.0, "pf_deg": 1.0, "pn_full_mm": 50.0}
 TRUE_ERRORS = ("vva_true_deg", "fd_true_mm", "pf_true_deg", "an_true_deg")
 SIGNED = "fd_signed_mm"
 # The article's step towards a far goal.
@@ -81,6 +86,8 @@ def course_errors(course: Course, trial: Trial, scene: ViewpointScene) -> dict[s
     half = naive[:, :3, 3] - (1 - INTERPOLATE_SHARE) * tool_ahead
     target = np.where(far[:, None], half, naive[:, :3, 3])
     errors["pn_mm"] = 1e3 * np.linalg.norm(poses[1:, :3, 3] - target, axis=1)
+    terms = [(errors[name] / tolerance) ** 2 for name, tolerance in COST_TOLERANCES.items()]
+    errors["view_cost"] = np.sum(terms, axis=0)
     if trial.truth is None:
         return {**errors, **{name: np.full(count, np.nan) for name in TRUE_ERRORS}}
     # The feature after the last step is not known: it stays where it was.

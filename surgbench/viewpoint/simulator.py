@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -20,7 +20,7 @@ from surgbench.geometry import FloatArray, inverse_transform, is_rigid, nearest_
 from surgbench.viewpoint.camera_arm import CameraArm
 from surgbench.viewpoint.contract import ViewCommand, ViewpointObservation, ViewpointScene
 from surgbench.viewpoint.placement import CONSTRAINTS
-from surgbench.viewpoint.registration import Method, register
+from surgbench.viewpoint.registration import Method, register, residual_m
 from surgbench.viewpoint.servo import JointServo
 from surgbench.viewpoint.trial import Trial
 from surgbench.viewpoint.workspace import NoGoZone, Workspace
@@ -103,7 +103,8 @@ def make_scene(
     if not (np.isfinite(trial.start).all() and arm.within_limits(trial.start, 1e-9)):
         raise DatasetError(f"trial '{trial.id}': the camera arm starts outside its joint limits")
     wanted = trial.distance_m if distance_m is None else distance_m
-    return ViewpointScene(arm, base, workspace, wanted, trial.dt_s, servo_lag_s)
+    stated = residual_m(base, trial.touches) if len(trial.touches.base_m) else 0.0
+    return ViewpointScene(arm, base, workspace, wanted, trial.dt_s, servo_lag_s, stated)
 
 
 class Simulation:
@@ -140,6 +141,8 @@ class Simulation:
         self._latency_ms = np.full(count, np.nan)
         self._joints[0], self._setpoints[0] = self._servo.joints, self._servo.setpoint
         self._done = 0
+        if getattr(controller, "foresees", False):
+            scene = replace(scene, future=trial.T_world_feature[:count].copy())
         controller.reset(scene, self._servo.joints.copy(), rng)
 
     def run(self, progress: Callable[[int], None] = lambda _: None) -> Course:
