@@ -13,6 +13,9 @@ EXTRAS = {
     "plots": ("matplotlib",),
     "video": ("av",),
     "sam2": ("transformers", "huggingface_hub"),
+    "control": ("osqp", "daqp"),
+    "bags": ("rosbags",),
+    "gym": ("gymnasium",),
     "readers": ("evo", "mlcroissant", "pycocotools"),
     "bench": ("embreex", "moderngl", "open3d"),
 }
