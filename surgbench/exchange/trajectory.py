@@ -56,28 +56,24 @@ class TrajectoryImporter(Plugin):
 
         scene: Annotated[
             Path | None,
-            Field(description="FILE.yaml of zone, base, touches, camera arm; default: put around the motion."),
+            Field(description="FILE: zone, base, touches, camera arm, as YAML; default: put around the motion."),
         ] = None
         frame: Annotated[
             str | None,
-            Field(
-                description="NAME of the frame that poses are in: world (default), camera-base, or one of the scene."
-            ),
+            Field(description="NAME: frame that poses are in: world (default), camera-base, or one of the scene."),
         ] = None
         of: Annotated[
             Literal["tool", "feature"],
-            Field(
-                description="Whether poses are the tool's, 33 mm behind the feature that it holds, or the feature's."
-            ),
+            Field(description="Whether poses are the tool's, 33 mm behind the feature that it holds, or its own."),
         ] = "tool"
         normal: Annotated[
             Normal | None, Field(description="Axis of the tool that is the feature's normal; default: y.")
         ] = None
         topic: Annotated[
-            str | None, Field(description="NAME of a bag's topic; default: the only one that ends in measured_cp.")
+            str | None, Field(description="NAME: a bag's topic; default: the only one that ends in measured_cp.")
         ] = None
         columns: Annotated[
-            str | None, Field(description="NAMES of columns, as time=stamp,qw=w; default: found by their names.")
+            str | None, Field(description="NAMES: columns, as time=stamp,qw=w; default: found by what they are called.")
         ] = None
         quaternion: Annotated[
             QuaternionOrder, Field(description="Order of the quaternion in tables without names.")
@@ -88,11 +84,15 @@ class TrajectoryImporter(Plugin):
         ] = None
         dt: Annotated[Positive, Field(description="Seconds between samples.")] = 0.0126
         gap: Annotated[
-            Positive | None,
-            Field(description="Longest time without a pose that is bridged, seconds; default: 5 steps, at least 0.1."),
+            float | None,
+            Field(
+                gt=0,
+                allow_inf_nan=False,
+                description="Longest time without a pose that is bridged, seconds; default: 5 steps, at least 0.1.",
+            ),
         ] = None
         camera_arm: Annotated[
-            str | None, Field(description="NAME|FILE.yaml of the arm that holds the camera; default: psm_classic.")
+            str | None, Field(description="NAME: the arm that holds the camera, or FILE.yaml; default: psm_classic.")
         ] = None
         name: Annotated[str | None, Field(description="Of the dataset; default: as the first file.")] = None
 
@@ -158,8 +158,8 @@ class TrajectoryImporter(Plugin):
         jumps = count_jumps(features, config.dt)
         if jumps:
             lines += _about(path, [
-                f"warning: {jumps} of {len(features)} samples are faster than {JUMP_M_S:g} m/s or {JUMP_RAD_S:g} rad/s; "
-                "the measurement jumps there"
+                f"warning: {jumps} of {len(features)} samples are faster than {JUMP_M_S:g} m/s or {JUMP_RAD_S:g} "
+                "rad/s; the measurement jumps there"
             ])  # fmt: skip
         return features
 
@@ -241,8 +241,9 @@ def _trial(
     start, warning = first_joints(scene, arm, around, measured(poses)[0])
     if warning is not None:
         lines.append(f"{trial_id}: {warning}")
+    times_s: FloatArray = dt_s * np.arange(len(poses), dtype=np.float64)
     trial = Trial(
-        trial_id, dt_s, dt_s * np.arange(len(poses)), poses, around.T_world_base, around.touches,
+        trial_id, dt_s, times_s, poses, around.T_world_base, around.touches,
         around.workspace.zone.points, start, None, scene.distance_m, scene.floor_m, scene.proximity_m,
         around.workspace.preferred_side,
     )  # fmt: skip

@@ -126,10 +126,10 @@ def put_in_order(raw: RawPoses, unit: LengthUnit | None = None, time_unit: TimeU
     if not later.all():
         again = np.flatnonzero(~later)
         other = int((values[again] != values[again - 1]).any(axis=1).sum())
-        lines.append(
-            f"{len(again)} {raw.row}s have the time of the one before, and are left out"
-            + (f"; warning: {other} of them with another pose" if other else "")
-        )
+        lines.append(f"{len(again)} {raw.row}s have the time of the one before, and are left out")
+        if other:
+            has = "has" if other == 1 else "have"
+            lines.append(f"warning: {other} of those {has} another pose than the {raw.row} before")
         values, numbers = values[later], numbers[later]
     if len(values) < 2:
         raise DatasetError(f"{raw.place}: has {len(values)} poses; a motion needs two at least")

@@ -24,7 +24,9 @@ ROLLS = 4
 # A feature is seen where the camera looks no farther past it, from no farther than so many times the wanted distance.
 SEEN_RAD, SEEN_TIMES = np.radians(5.0), 2.0
 # Samples of a trial that are looked at, and turns of the base about the vertical that are tried.
-LOOKED_AT, TURNS = 12, 12
+LOOKED_AT, TURNS = 8, 16
+# At so many features joints are looked at.
+STRAINED = 200
 # A joint at its limit is as bad as this many degrees out of the view.
 LIMIT_WEIGHT = 10.0
 
@@ -90,7 +92,7 @@ def aim(arm: CameraArm, T_world_base: FloatArray, T_world_feature: FloatArray, d
         if cost < GOOD_ENOUGH:
             break
         begin = np.clip(start[free], bounds[0] + inset, bounds[1] - inset)
-        found = least_squares(residuals, begin, bounds=bounds, max_nfev=60, x_scale="jac")
+        found = least_squares(residuals, begin, bounds=bounds, max_nfev=30, x_scale="jac")
         if found.cost < cost:
             best, cost = np.asarray(found.x), float(found.cost)
     joints = arm.clip(whole(best))
@@ -141,22 +143,32 @@ def turned_base(arm: CameraArm, T_world_base: FloatArray, T_world_feature: Float
     Args:
         arm: The arm.
         T_world_base: ``(4, 4)``.
-        T_world_feature: ``(n, 4, 4)`` a few of the features that it is to see.
+        T_world_feature: ``(n, 4, 4)`` features that it is to see.
         distance_m: Wanted from camera to feature.
     """
     best, least = T_world_base, np.inf
-    half = np.where(arm.locked, 1.0, (arm.upper - arm.lower) / 2)
     for turn in range(TURNS):
         spin = rotation_from_vector(2 * np.pi * turn / TURNS * UP)
         base = rigid_transform(spin @ T_world_base[:3, :3], T_world_base[:3, 3])
-        badness = 0.0
-        for feature in T_world_feature:
-            view = aim(arm, base, feature, distance_m)
-            at_limit = np.abs((view.joints - arm.middle) / half)[~arm.locked].max()
-            badness += view.cost + 0.5 * (LIMIT_WEIGHT * float(at_limit)) ** 2
+        badness = _strain(arm, base, T_world_feature, distance_m)
         if badness < least * (1 - 1e-6):
             best, least = base, badness
     return best
+
+
+def _strain(arm: CameraArm, T_world_base: FloatArray, T_world_feature: FloatArray, distance_m: float) -> float:
+    """How far from the middle of their limits an arm's joints are, the worst of them, over features; squares, mean.
+
+    Of an arm with locked joints it is the same at its best view of the feature in the middle, and how bad that is.
+    """
+    half = np.where(arm.locked, 1.0, (arm.upper - arm.lower) / 2)
+    if arm.locked.any():
+        view = aim(arm, T_world_base, T_world_feature[len(T_world_feature) // 2], distance_m)
+        away = np.abs((view.joints - arm.middle) / half)[~arm.locked].max()
+        return float(view.cost + 0.5 * (LIMIT_WEIGHT * away) ** 2)
+    some = T_world_feature[:: -(-len(T_world_feature) // STRAINED)]
+    joints = arm.inverse(inverse_transform(T_world_base) @ naive_pose(some, distance_m))
+    return float((np.abs((joints - arm.middle) / half).max(axis=1) ** 2).mean())
 
 
 def rest(

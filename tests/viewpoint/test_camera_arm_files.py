@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +33,11 @@ from surgbench.viewpoint.trial import Trial
 
 ARMS = {name: load_camera_arm(name).arm() for name in packaged_names("camera_arms")}
 ENDOSCOPES = [name for name in ARMS if name.startswith("ecm")]
+# Any wire will do, so that it is found at once.
+QUICK = (
+    *("wire-chaser-mini", "--sequences", 1, "--frames", 120, "--jobs", 1),
+    *("--set", "level=custom", "--set", "share=[0,1]", "--set", "name=ours"),
+)
 CONTROLLERS = ("gaze", "autocam", "autocam-published", "naive", "midpoint", "static")
 
 shares = st.lists(st.floats(0.001, 0.999), min_size=6, max_size=6).map(np.array)
@@ -42,8 +48,10 @@ def joints_of(arm: CameraArm, share: FloatArray) -> FloatArray:
     return np.asarray(arm.lower + share * (arm.upper - arm.lower))
 
 
-def held_by(arm: CameraArm, trial: Trial) -> Trial:
-    """A trial with another arm, set up for it."""
+@cache
+def held_by(name: str) -> Trial:
+    """A ring that goes round in a circle, and an arm set up to see it."""
+    arm, trial = ARMS[name], circling(240)
     base = turned_base(arm, trial.T_world_base, trial.T_world_feature[:1], trial.distance_m)
     touched = trial.touches.world_m
     touches = Touches(touched, (touched - base[:3, 3]) @ base[:3, :3])
@@ -85,7 +93,7 @@ def test_an_endoscope_lies_in_its_shaft_and_looks_along_it_or_30_degrees_off(nam
 @pytest.mark.parametrize("name", sorted(ARMS))
 def test_every_arm_is_set_up_to_see(name: str) -> None:
     """Level, upright, from about the wanted distance, amid its limits; and at rest where the rules allow."""
-    trial = held_by(ARMS[name], circling(40))
+    trial = held_by(name)
     scene = make_scene(trial)
     start = rest(trial.T_world_feature[0], trial.distance_m, scene.workspace, trial.arm, scene.T_world_base)
     assert start is not None
@@ -101,15 +109,15 @@ def test_every_arm_is_set_up_to_see(name: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", sorted(ARMS))
+@pytest.mark.parametrize("name", ["psm_si", "ecm", "ecm_30_down"])
 @pytest.mark.parametrize("controller", CONTROLLERS)
 def test_every_controller_moves_every_arm_within_its_limits(controller: str, name: str) -> None:
     """Round a circle, and in worlds in which features are anywhere: finite, within limits, locked joints at rest."""
     arm = ARMS[name]
     rng = generator(check=f"{controller} {name}")
-    for trial in (held_by(arm, circling(120)), *(replace(random_trial(rng, 8), arm=arm) for _ in range(15))):
+    for trial in (held_by(name), *(replace(random_trial(rng, 8), arm=arm) for _ in range(8))):
         trial = replace(trial, start=arm.clip(trial.start))
-        course = Simulation(create(find("tracker", controller), {}), trial, make_scene(trial), rng).run()
+        course = Simulation(create(find("tracker", controller), {}), trial, make_scene(trial), rng, 100).run()
         assert np.isfinite(course.joints).all()
         assert arm.within_limits(course.setpoints, 1e-9).all()
         assert (course.setpoints[:, arm.locked] == arm.lower[arm.locked]).all()
@@ -121,7 +129,7 @@ def test_every_controller_moves_every_arm_within_its_limits(controller: str, nam
 @pytest.mark.parametrize("name", ENDOSCOPES)
 def test_an_endoscope_keeps_the_feature_in_the_middle(name: str) -> None:
     """With four joints the place is not free; where it looks and from how far is."""
-    trial = held_by(ARMS[name], circling(240))
+    trial = held_by(name)
     scene = make_scene(trial)
     course = Simulation(create(find("tracker", "gaze"), {}), trial, scene, np.random.default_rng(0)).run()
     poses = scene.T_world_base @ trial.arm.forward(course.joints[1:])
@@ -138,10 +146,7 @@ def test_a_dataset_keeps_its_arm_and_needs_no_file_for_it(tmp_path: Path) -> Non
     own = tmp_path / "ours.yaml"
     own.write_text(spec.model_dump_json(exclude_none=True))
     folder = tmp_path / "data"
-    surgbench(
-        *("generate", "wire-chaser-mini", "--set", f"camera_arm={own}", "--set", "name=ours"),
-        *("--sequences", 1, "--frames", 120, "--out", folder, "--jobs", 1),
-    )
+    surgbench("generate", *QUICK, "--set", f"camera_arm={own}", "--out", folder)
     own.unlink()
     dataset = open_as(ViewpointDataset, folder)
     assert dataset.trial("000").arm == dataset.arm == spec.arm()
@@ -155,7 +160,7 @@ def test_a_dataset_keeps_its_arm_and_needs_no_file_for_it(tmp_path: Path) -> Non
 def test_an_arm_that_cannot_reach_the_trial_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """At validation, and before a run: 'too short' is 0.2 m short of the feature."""
     folder = tmp_path / "data"
-    surgbench("generate", "wire-chaser-mini", "--sequences", 1, "--frames", 120, "--out", folder, "--jobs", 1)
+    surgbench("generate", *QUICK, "--out", folder)
     short = load_camera_arm("ecm").model_dump(mode="json", exclude_none=True)
     short |= {"name": "too_short", "roll_offset_m": 0.39}
     short["joints"]["insertion"]["limits"] = [0.0, 0.01]

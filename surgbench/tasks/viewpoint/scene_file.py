@@ -92,7 +92,7 @@ class SceneFile(Section):
     preferred_side: Point | None = None
     feature: FeatureEntry = FeatureEntry()
     frame: str | None = None
-    frames: Annotated[dict[str, PoseEntry], Field(default_factory=dict)]
+    frames: dict[str, PoseEntry] = Field(default_factory=dict)
 
     @model_validator(mode="after")
     def _possible(self) -> SceneFile:

@@ -87,8 +87,7 @@ def surround(scene: SceneFile, arm: CameraArm, T_world_feature: FloatArray) -> S
     base = _told_base(scene)
     if base is None:
         remote = box.place(np.array([0.0, 0.0, 0.5])) + REMOTE_M * towards + REMOTE_UP_M * UP
-        some = T_world_feature[:: -(-len(T_world_feature) // 3)]
-        base = turned_base(arm, rigid_transform(np.eye(3), remote), some, scene.distance_m)
+        base = turned_base(arm, rigid_transform(np.eye(3), remote), T_world_feature, scene.distance_m)
         assumed.append(f"the remote centre of '{arm.name}' {np.hypot(REMOTE_M, REMOTE_UP_M):.2f} m beyond it")
     touches = _touches(scene, base, box)
     if scene.touches is None:
