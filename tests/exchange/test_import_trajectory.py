@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from commandline import records, surgbench
+from commandline import surgbench
 from others import refused
 from scipy.spatial.transform import Rotation
 from trajectories import STEPS, feature, put_table
@@ -17,11 +17,12 @@ from surgbench.dataset.validate import validate
 from surgbench.generators.wire_chaser.presets import Measurement, WireChaser
 from surgbench.generators.wire_chaser.trial import make_trial
 from surgbench.geometry import inverse_transform, rigid_transform
+from surgbench.registry import create, find
 from surgbench.tasks.viewpoint.dataset import ViewpointDataset
 from surgbench.viewpoint.arm_files import load_camera_arm
 from surgbench.viewpoint.placement import look_at
 from surgbench.viewpoint.scores import naive_violations
-from surgbench.viewpoint.simulator import make_scene
+from surgbench.viewpoint.simulator import Simulation, make_scene
 
 ZONE = [[-0.041, -0.038, 0.0], [0.041, -0.038, 0.0], [0.041, 0.038, 0.0], [-0.041, 0.038, 0.0], [0.0, 0.0, 0.0494]]
 # Any wire will do, so that it is found at once; with gaps.
@@ -178,7 +179,7 @@ def test_several_files_are_several_trials_of_one_scene(path: Path, tmp_path: Pat
 
 
 def test_gaps_are_held_and_jumps_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """While nothing is measured the controller is not asked; a run over it ends well."""
+    """While nothing is measured the controller is not asked, and the arm rests."""
     times, poses = feature()
     poses[120:, :3, 3] += [0.02, 0.0, 0.0]
     keep = np.ones(STEPS, dtype=bool)
@@ -191,10 +192,11 @@ def test_gaps_are_held_and_jumps_are_told(tmp_path: Path, capsys: pytest.Capture
     )
     assert "warning: path.csv: 1 of 160 samples are faster than 0.5 m/s" in told
     assert np.array_equal(trial.measured, keep)
-    surgbench("run", "--dataset", tmp_path / "data", "--tracker", "naive", "--out", tmp_path / "runs", "--jobs", 1)
-    (record,) = records(tmp_path / "runs")
-    assert record["status"] == "ok"
-    assert record["frames"]["asked"] == keep.tolist()
+    scene = make_scene(trial)
+    course = Simulation(create(find("tracker", "naive"), {}), trial, scene, np.random.default_rng(0)).run()
+    assert np.array_equal(course.asked, keep)
+    assert np.isfinite(course.joints).all()
+    assert (course.setpoints[60] == course.setpoints[70]).all()
 
 
 @pytest.mark.parametrize("name", ["ecm", "psm_si"])
