@@ -91,7 +91,7 @@ def test_the_order_of_a_quaternion_without_a_name_is_told(tmp_path: Path) -> Non
     assert raw.lines == [
         "no names of columns: taken as time x y z qw qx qy qz (--quaternion xyzw if the quaternion is so)"
     ]
-    np.testing.assert_allclose(put_in_order(raw).quaternion, [[0, 0, 0, 1], [0, 0, 0.6, 0.8]])
+    np.testing.assert_allclose(put_in_order(raw).quaternion, [[0.0, 0.0, 0.0, 1.0], [0.0, 0.0, 0.6, 0.8]])
 
 
 def test_columns_may_be_told(tmp_path: Path) -> None:
@@ -211,7 +211,7 @@ def test_nothing_is_invented_in_gaps(steps: list[float], gap_s: float, dt_s: flo
         return
     even, lines = resample(recorded(times, turning(times, np.zeros(3), np.ones(3))), dt_s, gap_s)
     wanted = dt_s * np.arange(len(even))
-    missing = np.isnan(even).any(axis=(1, 2))
+    missing = np.asarray(np.isnan(even).any(axis=(1, 2)))
     for time, lacks in zip(wanted, missing, strict=True):
         after = min(int(np.searchsorted(times, time)), len(times) - 1)
         distance = np.abs(times - time).min()
@@ -221,16 +221,16 @@ def test_nothing_is_invented_in_gaps(steps: list[float], gap_s: float, dt_s: flo
 
 
 def test_samples_at_rows_are_rows() -> None:
-    times = 0.0126 * np.arange(50)
+    times: FloatArray = 0.0126 * np.arange(50, dtype=np.float64)
     poses = turning(times, np.array([1.0, 2.0, -0.5]), np.array([0.01, 0.0, 0.02]))
     even, _ = resample(recorded(times, poses), 0.0126, 0.1)
     np.testing.assert_allclose(even, poses, atol=1e-12)
 
 
 def test_the_longest_gap_hangs_on_how_often_there_is_a_pose() -> None:
-    poses = turning(np.arange(10) * 0.1, np.zeros(3), np.ones(3))
-    assert usual_gap_s(recorded(np.arange(10) * 0.001, poses)) == 0.1
-    assert usual_gap_s(recorded(np.arange(10) * 0.1, poses)) == pytest.approx(0.5)
+    poses = turning(np.linspace(0, 0.9, 10), np.zeros(3), np.ones(3))
+    assert usual_gap_s(recorded(np.linspace(0, 0.009, 10), poses)) == 0.1
+    assert usual_gap_s(recorded(np.linspace(0, 0.9, 10), poses)) == pytest.approx(0.5)
 
 
 def test_a_stray_time_does_not_fill_the_memory() -> None:

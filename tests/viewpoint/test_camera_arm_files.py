@@ -21,7 +21,7 @@ from surgbench.errors import ConfigError
 from surgbench.generators.wire_chasers import load_wire_chaser
 from surgbench.geometry import FloatArray, rigid_transform, rotation_from_vector
 from surgbench.randomness import generator
-from surgbench.registry import create, find
+from surgbench.registry import create, discover, find
 from surgbench.tasks.viewpoint.conformance.worlds import circling, random_trial
 from surgbench.tasks.viewpoint.dataset import ViewpointDataset
 from surgbench.viewpoint.arm_files import CameraArmSpec, load_camera_arm
@@ -38,7 +38,12 @@ QUICK = (
     *("wire-chaser-mini", "--sequences", 1, "--frames", 120, "--jobs", 1),
     *("--set", "level=custom", "--set", "share=[0,1]", "--set", "name=ours"),
 )
-CONTROLLERS = ("gaze", "autocam", "autocam-published", "naive", "midpoint", "static")
+# All that run here, but for those that know the future.
+CONTROLLERS = sorted(
+    name
+    for name, found in discover("tracker").items()
+    if found.task == "viewpoint" and found.unavailable is None and not getattr(found.cls, "foresees", False)
+)
 
 shares = st.lists(st.floats(0.001, 0.999), min_size=6, max_size=6).map(np.array)
 arms = st.sampled_from(sorted(ARMS))
