@@ -10,8 +10,9 @@ from surgbench.suite.asked import Conditions
 from surgbench.suite.plug import plug
 from surgbench.suite.settings import Settings
 from surgbench.suite.slices import cut
-from surgbench.tasks.viewpoint.asked import Registration, ViewpointRow
+from surgbench.tasks.viewpoint.asked import ViewpointRow
 from surgbench.tasks.viewpoint.dataset import ViewpointDataset
+from surgbench.viewpoint.registration import Method
 
 
 @dataclass(frozen=True)
@@ -24,7 +25,7 @@ class ViewpointSettings(Settings):
         photographs_hz: How many stereo pictures a second the feature is looked for in.
     """
 
-    registration: Registration
+    registration: Method
     missing_face: bool
     photographs_hz: float = 0.0
 
