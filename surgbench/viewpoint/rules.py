@@ -32,6 +32,8 @@ from surgbench.viewpoint.workspace import Workspace
 RULE_UNITS = {"no_go": "mm", "floor": "mm", "orientation": "deg", "proximity": "mm", "joint_limit": "deg"}
 # A rule is broken beyond this: half a millimetre, and for directions half a degree, which at 110 mm is twice that.
 TOLERANCES = {"mm": 0.5, "deg": 0.5}
+# What names of a rule's columns end with: on reported poses, and on true ones.
+TWINS = ("", "_true")
 
 
 @dataclass(frozen=True)
@@ -51,6 +53,11 @@ class Events:
     deepest: float
 
 
+def depth_name(rule: str, twin: str = "") -> str:
+    """What a rule's depths are called in records, by its name and one of :data:`TWINS`."""
+    return f"{rule}_{RULE_UNITS[rule]}{twin}"
+
+
 def reported_depths(course: Course, trial: Trial, scene: ViewpointScene) -> dict[str, FloatArray]:
     """Depths beyond each rule on reported poses, name to ``(T,)``.
 
@@ -67,10 +74,10 @@ def reported_depths(course: Course, trial: Trial, scene: ViewpointScene) -> dict
     return {name: np.maximum(by_joints[name], by_setpoints[name]) for name in CONSTRAINTS}
 
 
-def true_depths(course: Course, trial: Trial, scene: ViewpointScene) -> dict[str, FloatArray] | None:
-    """The same on true poses; ``None`` for trials without truth."""
+def true_depths(course: Course, trial: Trial, scene: ViewpointScene) -> dict[str, FloatArray]:
+    """The same on true poses; nothing for trials without truth."""
     if trial.truth is None:
-        return None
+        return {}
     feature = after_steps(trial.truth.T_world_feature, len(course.goals))[:, :3, 3]
     return _depths(course.joints[1:], trial.truth.T_world_base, feature, scene.workspace, scene.arm)
 
