@@ -1,9 +1,9 @@
 """How far the camera was beyond each rule, at one moment, and the events of that: on reported poses and on true ones.
 
 After step i the arm is where its joints say, and the feature is where it is measured at that moment, with sample
-i + 1. What is *reported* is the camera by the registered base and the joints' measurement or set point, the worse of the
-two, against the feature as measured. What is *true* is the camera by the base's true place and the joints, against the
-true feature; the zone is as it was touched in both, for its points are in the world that the feature is in.
+i + 1. What is *reported* is the camera by the registered base and the joints' measurement or set point, the worse of
+the two, against the feature as measured. What is *true* is the camera by the base's true place and the joints, against
+the true feature; the zone is as it was touched in both, for its points are in the world that the feature is in.
 
 Depths are millimetres, and degrees for directions and joints; positive beyond a rule, negative within it:
 
