@@ -230,12 +230,14 @@ def test_commands_beyond_the_limits_are_clipped_and_counted() -> None:
     np.testing.assert_allclose(course.joints[-1], ARM.upper, atol=1e-6)
 
 
-def test_commanding_the_zone_is_seen() -> None:
-    trial = circling(50)
+def test_going_into_the_zone_is_one_event() -> None:
+    trial = circling(200)
     scene = make_scene(trial)
     into = naive_pose(feature_poses(np.array([0.0, 0.0, 0.02]), np.array([0.6, -0.2, 0.7])), 0.01)
     course = simulate(lambda observation, scene: into, trial)
-    assert find_events(reported_depths(course, trial, scene)["no_go"], "no_go").count == 1
+    found = find_events(reported_depths(course, trial, scene)["no_go"], "no_go")
+    assert (found.count, found.longest) == (1, found.samples)
+    assert found.deepest > 10.0
     away = simulate(lambda observation, scene: observation.setpoint, trial)
     assert find_events(reported_depths(away, trial, scene)["no_go"], "no_go").count == 0
 

@@ -9,6 +9,8 @@ pixels on edges (a test), and takes more than ten times as long.
 
 from __future__ import annotations
 
+from functools import cache
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -103,6 +105,7 @@ class Photographer:
         return low, grey
 
 
+@cache
 def _bend(camera: Camera) -> tuple[NDArray[np.float32], Camera, NDArray[np.bool_]]:
     """Where a pinhole camera sees what the lens sees in each of a pixel's points, and that pinhole camera.
 
