@@ -1,4 +1,8 @@
-"""The whole job of the wire chaser: from a preset to a dataset on disk, the same bytes every time."""
+"""The whole job of the wire chaser: from a preset to a dataset on disk.
+
+The same bytes every time with the same versions of the libraries on processors of one family; on others numbers within
+1e-9 of them.
+"""
 
 from __future__ import annotations
 
