@@ -78,7 +78,7 @@ def test_an_unknown_feature_has_no_share() -> None:
 
 
 def test_the_object_is_as_it_is_generated_and_held() -> None:
-    assert (RING_RADIUS_M, TUBE_RADIUS_M) == (WireSettings().ring_radius_m, WireSettings().tube_radius_m)
+    assert (WireSettings().ring_radius_m, WireSettings().tube_radius_m) == (RING_RADIUS_M, TUBE_RADIUS_M)
     np.testing.assert_allclose(np.linalg.norm(ring_points_m(), axis=1), RING_RADIUS_M)
     assert len(ring_points_m()) == POINTS
     points = np.concatenate([solid.mesh.vertices_m for solid in holder()])

@@ -53,8 +53,8 @@ QUICK_TRIAL = (
 )
 RULES_NOTE = (
     "Events beyond 0.5 mm, or 0.5° for sides and joints (the longest; the deepest), of all samples, at one moment: "
-    "where the camera was after the step against the feature at that time. *Reported*: by the registered base, joints as "
-    "measured or told, whichever is worse, against the measured feature. *True*: by the true poses of both."
+    "where the camera was after the step against the feature at that time. *Reported*: by the registered base, joints "
+    "as measured or told, whichever is worse, against the measured feature. *True*: by the true poses of both."
 )
 PAIRED_NOTE = (
     "Mean over trials of the row's figure less that of the row it is held against, and its 95 % interval (bootstrap "
