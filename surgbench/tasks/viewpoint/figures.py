@@ -86,12 +86,16 @@ def draw_timeline(lines: Sequence[Line], dt_s: float, path: Path, title: str) ->
 def _bars(panel: Axes, rules: Any, dt_s: float) -> None:
     """A row of bars for each rule, above the errors."""
     for bit, (name, colour) in enumerate(zip(RULE_NAMES, RULE_COLOURS, strict=True)):
-        active = (rules >> bit) & 1
-        edges = np.flatnonzero(np.diff(np.concatenate([[0], active, [0]])))
-        spans = [(dt_s * a, dt_s * (b - a)) for a, b in edges.reshape(-1, 2)]
-        transform = panel.get_xaxis_transform()
-        panel.broken_barh(spans, (1.02 + 0.075 * bit, 0.05), color=colour, clip_on=False, transform=transform, lw=0)
-        panel.text(1.004, 1.01 + 0.075 * bit, name, transform=panel.transAxes, color=colour, fontsize=7, va="bottom")
+        _bar(panel, (rules >> bit) & 1, dt_s, bit, name, colour)
+
+
+def _bar(panel: Axes, flags: Any, dt_s: float, row: int, name: str, colour: str) -> None:
+    """Bars where ``(T,)`` flags are set, and their name, in a row above the panel."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], np.asarray(flags, dtype=bool), [False]]).astype(int)))
+    spans = [(dt_s * start, dt_s * (end - start)) for start, end in edges.reshape(-1, 2)]
+    transform = panel.get_xaxis_transform()
+    panel.broken_barh(spans, (1.02 + 0.075 * row, 0.05), color=colour, clip_on=False, transform=transform, lw=0)
+    panel.text(1.004, 1.01 + 0.075 * row, name, transform=panel.transAxes, color=colour, fontsize=7, va="bottom")
 
 
 def draw_paths(lines: Sequence[Line], trial: Trial, scene: ViewpointScene, path: Path) -> None:
@@ -155,7 +159,8 @@ def draw_centroids(lines: Sequence[Line], width: int, height: int, path: Path, t
 def draw_pixel_errors(lines: Sequence[Line], width: int, height: int, dt_s: float, path: Path, title: str) -> None:
     """How far the feature was from the middle of both pictures over time, across and down (Figs. 6 e to h).
 
-    Lines by geometry, with gaps where the ring was not seen, and dots by the tags where pictures were taken.
+    Lines by geometry, with gaps and a bar above where the ring was not seen, and dots by the tags where pictures were
+    taken.
 
     Args:
         lines: Of one trial.
@@ -169,18 +174,19 @@ def draw_pixel_errors(lines: Sequence[Line], width: int, height: int, dt_s: floa
     middle = np.array([width / 2, height / 2])
     panels = [(f"{eye}: |{axis} error| [px]", row, k) for row, eye in enumerate(EYES) for k, axis in enumerate("uv")]
     for panel, (name, row, axis) in zip(axes, panels, strict=True):
-        for colour, line in zip(COLOURS, lines, strict=False):
+        for number, (colour, line) in enumerate(zip(COLOURS, lines, strict=False)):
             off = np.abs(found_pixels(line.record, "projected_px")[:, row] - middle)[:, axis]
             panel.plot(dt_s * np.arange(1, len(off) + 1), off, color=colour, lw=0.9, label=line.label)
+            _bar(panel, np.isnan(off), dt_s, number, "not seen", colour)
             steps = [step for step, found in enumerate(line.record.frames.tags_px) if found is not None]
             tags = np.abs(found_pixels(line.record, "tags_px")[:, row] - middle)[:, axis]
             panel.plot(dt_s * (np.array(steps) + 1), tags, ".", color=colour, ms=2.2, alpha=0.5)
         panel.set_ylabel(name)
-        panel.set_ylim(0, middle[axis])
+        panel.set_ylim(bottom=0)
         panel.margins(x=0.005)
     axes[-1].set_xlabel("time [s]")
     handles, labels = axes[0].get_legend_handles_labels()
-    title += "; lines: by geometry, where it was seen; dots: by tags"
+    title += "; lines and bars: by geometry; dots: by tags"
     figure.legend(handles, labels, loc="outside upper center", ncols=len(handles), frameon=False, title=title)
     _save(figure, path)
 

@@ -177,7 +177,7 @@ def _events(row: Row, rule: str, twin: str) -> str:
     if not row[f"{rule}_events{twin}"]:
         return "0"
     longest, deepest = row[f"{rule}_longest_s{twin}"], row[f"{rule}_deepest_{unit}{twin}"]
-    return f"{row[f'{rule}_events{twin}']} ({longest:.2f} s; {deepest:.1f} {unit.replace('deg', '°')})"
+    return f"{row[f'{rule}_events{twin}']} ({longest:.2f} s; {deepest:.1f}{'°' if unit == 'deg' else f' {unit}'})"
 
 
 def _paired(rows: Sequence[Row]) -> str:
