@@ -68,7 +68,8 @@ def test_the_feature_is_that_of_the_same_moment() -> None:
     assert (depth[:2] < 0).all()
     assert np.isnan(depth[3:]).all()  # not measured, and after the last sample it stays so
     found = find_events(depth, "proximity")
-    assert (found.count, found.samples, found.deepest) == (1, 1, pytest.approx(60.0))
+    assert (found.count, found.samples) == (1, 1)
+    assert found.deepest == pytest.approx(60.0)
 
 
 def test_the_worse_of_joints_and_set_point_counts_as_reported_and_the_joints_in_truth() -> None:
@@ -88,7 +89,7 @@ def test_the_worse_of_joints_and_set_point_counts_as_reported_and_the_joints_in_
 def test_a_base_that_is_elsewhere_shows_in_truth_alone() -> None:
     trial = make_trial(circling(4).T_world_feature[[0] * 4].copy())
     assert trial.truth is not None
-    truth = replace(trial.truth, T_world_base=rigid_transform(np.eye(3), [0, 0, -0.05]) @ trial.T_world_base)
+    truth = replace(trial.truth, T_world_base=rigid_transform(np.eye(3), np.array([0, 0, -0.05])) @ trial.T_world_base)
     lowered = replace(trial, truth=truth)
     course = still(trial, np.stack([naive_pose(trial.T_world_feature[0])] * 4))
     reported, true = (of(course, lowered, make_scene(trial)) for of in (reported_depths, true_depths))

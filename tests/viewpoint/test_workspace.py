@@ -197,7 +197,7 @@ def test_touches_that_register_nothing_are_an_error() -> None:
     line = np.outer(np.arange(5.0), [0.01, 0, 0])
     for method in ("rigid", "lad"):
         with pytest.raises(RegistrationError, match="not on a line"):
-            register(np.eye(4), Touches(line, line), method)  # type: ignore[arg-type]
+            register(np.eye(4), Touches(line, line), method)
     with pytest.raises(RegistrationError, match="finite"):
         register(np.eye(4), Touches(line * np.nan, line), "translation")
     with pytest.raises(RegistrationError, match="as many"):

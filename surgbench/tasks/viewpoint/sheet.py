@@ -21,7 +21,7 @@ from surgbench.tasks.viewpoint.page import CENTROIDS_PNG, PATHS_PNG, PIXELS_PNG,
 from surgbench.tasks.viewpoint.picture_rows import SEEN, seen_percent
 from surgbench.tasks.viewpoint.plan import ViewpointSettings
 from surgbench.tasks.viewpoint.records import ViewpointRecord
-from surgbench.tasks.viewpoint.rows import CLIPPED, ERRORS, VIEWPOINT_COLUMNS, clipped
+from surgbench.tasks.viewpoint.rows import CLIPPED, ERRORS, VIEWPOINT_COLUMNS, clipped, subsets
 from surgbench.tasks.viewpoint.rule_rows import DEEPEST, EVENT_COUNTS, UNAVOIDABLE, rule_row
 from surgbench.viewpoint.optics.stereo import AUTOCAM_STEREO
 from surgbench.viewpoint.scores import naive_violations
@@ -59,7 +59,7 @@ _NUMBERS = (*DEEPEST[""], *DEEPEST["_true"], *SEEN)
 def _count(record: ViewpointRecord) -> Row:
     of_rules = rule_row([record])
     kept = {name: of_rules[name] for name in (*_COUNTS[1:], *_FURTHER_COUNTS, *DEEPEST[""], *DEEPEST["_true"])}
-    return {CLIPPED: clipped(record, np.array(record.frames.asked, dtype=bool)), **kept, **seen_percent(record)}
+    return {CLIPPED: clipped(record, subsets(record)["all"]), **kept, **seen_percent(record)}
 
 
 def _draw(definition: Definition, blocks: Sequence[BlockWork], results: Results, folder: Path) -> list[str]:

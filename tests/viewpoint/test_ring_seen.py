@@ -38,7 +38,7 @@ RING = np.eye(4)[None]  # the feature's frame is the world's here
 
 def shares(place_m: Any, at_m: Any = (0.0, 0.0, 0.0)) -> FloatArray:
     """What both eyes of a camera at a place see that looks at another."""
-    return ring_shares(AUTOCAM_STEREO, look_at(np.array(place_m), np.array(at_m))[None], RING)[0]
+    return np.asarray(ring_shares(AUTOCAM_STEREO, look_at(np.array(place_m), np.array(at_m))[None], RING)[0])
 
 
 def test_from_before_beside_and_ahead_of_the_tool_all_of_the_ring_is_seen() -> None:
