@@ -43,7 +43,7 @@ def scene(rng: np.random.Generator, off_normal_deg: float) -> tuple[FloatArray, 
 
 
 def measure(rng: np.random.Generator, count: int) -> None:
-    photographers = [Photographer(camera, grasp_object()) for camera in CAMERAS]
+    photographers = [Photographer(camera, grasp_object(tool=True)) for camera in CAMERAS]
     finders = {name: [TagFinder(camera, window_cells=size) for camera in CAMERAS] for name, size in WINDOWS.items()}
     rows: dict[str, list[tuple[float, float, float]]] = {name: [] for name in WINDOWS}
     spent_ms = []

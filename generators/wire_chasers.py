@@ -22,7 +22,7 @@ class WireChasers(Plugin):
     task: ClassVar[str] = "viewpoint"
 
     def plan(self, preset: Path, request: GenerationRequest) -> GenerationPlan:
-        """What a preset makes. Of a part all trials up to the last one are made, whole: they take no time.
+        """What a preset makes. The trials of a part are made whole.
 
         Raises:
             ConfigError: The file is wrong, an option has a value that will not do, or the part names a trial that the
@@ -38,8 +38,7 @@ class WireChasers(Plugin):
             for wanted in request.part[0]:
                 if wanted not in ids:
                     raise ConfigError(unknown_name("trial", wanted, ids))
-            loaded = loaded.model_copy(update={"trials": 1 + max(map(ids.index, request.part[0]))})
-        plan: GenerationPlan = WirePlan(loaded)
+        plan: GenerationPlan = WirePlan(loaded, () if request.part is None else request.part[0])
         return plan
 
 

@@ -1,4 +1,8 @@
-"""The whole job of the wire chaser: from a preset to a dataset on disk, the same bytes every time."""
+"""The whole job of the wire chaser: from a preset to a dataset on disk.
+
+The same bytes every time with the same versions of the libraries on processors of one family; on others numbers within
+1e-9 of them.
+"""
 
 from __future__ import annotations
 
@@ -38,16 +42,18 @@ class WirePlan:
 
     Attributes:
         preset: Effective preset.
+        only: Ids of the trials that alone are made, each as in the whole; all where there are none.
     """
 
     preset: WireChaser
+    only: tuple[str, ...] = ()
 
     @cached_property
     def samples(self) -> dict[str, int]:
         """Trial to its number of samples, in order."""
         digits = max(3, len(str(self.preset.trials - 1)))
         ids = [f"{index:0{digits}d}" for index in range(self.preset.trials)]
-        return {trial_id: draw_samples(self.preset, trial_id) for trial_id in ids}
+        return {id_: draw_samples(self.preset, id_) for id_ in ids if not self.only or id_ in self.only}
 
     @property
     def name(self) -> str:
@@ -69,7 +75,8 @@ class WirePlan:
     @property
     def marker(self) -> dict[str, Any]:
         """Effective configuration."""
-        return {"format": FORMAT, "preset": self.preset.model_dump(mode="json")}
+        whole = {"format": FORMAT, "preset": self.preset.model_dump(mode="json")}
+        return {**whole, "part": list(self.samples)} if self.only else whole
 
     @property
     def paths(self) -> list[str]:

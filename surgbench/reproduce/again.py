@@ -8,8 +8,10 @@ from typing import Any
 from surgbench.errors import ConfigError, DatasetError, unknown_name
 from surgbench.report.row import Row
 from surgbench.reproduce.check import first_sha256
+from surgbench.reproduce.paired import with_differences
 from surgbench.reproduce.results import Results
 from surgbench.reproduce.table import Definition, Table
+from surgbench.task import find_task
 
 
 def narrowed(table: Table, rows: Collection[str]) -> Table:
@@ -70,4 +72,6 @@ def merged(definition: Definition, before: Results, again: Results) -> Results:
         "timing_environments": [*before.about["timing_environments"], *again.about["timing_environments"]],
         "records": records,
     }
-    return Results(rows, sequences, about)
+    # A row that stays may be held against one that was run again.
+    sheet = find_task(definition.table.task).sheet
+    return Results(with_differences(definition.table, rows, sequences, sheet), sequences, about)

@@ -11,6 +11,7 @@ import numpy as np
 from surgbench.report.row import Row
 from surgbench.reproduce.files import LEADERBOARD_CSV, LEADERBOARD_MD, RECORDS_JSON, SEQUENCES_CSV
 from surgbench.reproduce.over_sequences import SUFFIX
+from surgbench.reproduce.paired import REGRET, differences
 from surgbench.reproduce.results import Results
 from surgbench.reproduce.sheet import Sheet
 from surgbench.reproduce.table import Definition
@@ -36,9 +37,11 @@ def inconsistencies(definition: Definition, results: Results, folder: Path) -> l
         missing = [id_ for id_ in wanted if id_ not in there] or [id_ for id_ in there if id_ not in wanted]
         return [f"{LEADERBOARD_CSV}: other rows than the table's definition ({', '.join(missing) or 'another order'})"]
     problems = []
+    asked = {row.id: row for _, row in definition.table.rows()}
     for row in rows:
         own = [one for one in results.sequences if one["row_id"] == row["row_id"]]
-        problems += _row_problems(sheet, row, own)
+        paired = differences(asked[row["row_id"]], results.sequences, sheet)
+        problems += _row_problems(sheet, row, own, paired)
     for one in results.sequences:
         key = f"{one['row_id']}/{one['unit']}/r{one['repeat']}"
         problems += _record_problems(key, one, results.about["records"].get(key))
@@ -48,9 +51,11 @@ def inconsistencies(definition: Definition, results: Results, folder: Path) -> l
     return problems
 
 
-def _row_problems(sheet: Sheet, row: Row, sequences: list[Row]) -> list[str]:
-    """A leaderboard row is made of its sequences' rows."""
+def _row_problems(sheet: Sheet, row: Row, sequences: list[Row], paired: Row) -> list[str]:
+    """A leaderboard row is made of its sequences' rows, and of those of the row that it is held against."""
     expected: dict[str, float | None] = {
+        # Not the ends of intervals: resamples are drawn by SciPy, whose versions may draw others.
+        **{key: value for key, value in paired.items() if key.endswith(("_difference", REGRET))},
         "sequences": len({one["unit"] for one in sequences}),
         "frames": sum(one["frames"] for one in sequences),
         **{count: sum(one[count] for one in sequences) for count in sheet.counts},
@@ -69,9 +74,9 @@ def _row_problems(sheet: Sheet, row: Row, sequences: list[Row]) -> list[str]:
         if row.get(f"{error}{SUFFIX}") is not None:
             expected[f"{error}{SUFFIX}"] = float(np.std(means, ddof=1))
     return [
-        f"{LEADERBOARD_CSV}: row '{row['row_id']}': {key} is {row[key]}, but {SEQUENCES_CSV} gives {value}"
+        f"{LEADERBOARD_CSV}: row '{row['row_id']}': {key} is {row.get(key)}, but {SEQUENCES_CSV} gives {value}"
         for key, value in expected.items()
-        if not _same(row[key], value, _ROUNDING)
+        if not _same(row.get(key), value, _ROUNDING)
     ]
 
 

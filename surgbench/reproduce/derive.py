@@ -16,6 +16,7 @@ from surgbench.report.rows import derive_rows
 from surgbench.reproduce.files import FORMAT
 from surgbench.reproduce.fingerprint import head, record_sha256
 from surgbench.reproduce.over_sequences import spread_over_sequences
+from surgbench.reproduce.paired import with_differences
 from surgbench.reproduce.results import RECORDS, TIMING, BlockWork, Results
 from surgbench.reproduce.table import Definition
 from surgbench.suite.settings import Job
@@ -80,7 +81,7 @@ def derive(definition: Definition, blocks: Sequence[BlockWork], out: Path, quick
         "timing_environments": list(timed_in.values()),
         "records": records,
     }
-    return Results(rows, sequences, about)
+    return Results(with_differences(definition.table, rows, sequences, sheet), sequences, about)
 
 
 def _read(folder: Path, jobs: Iterable[Job]) -> Iterator[tuple[Record, dict[str, Any]]]:

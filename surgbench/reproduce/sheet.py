@@ -30,10 +30,13 @@ class Sheet:
         further_columns: Of the leaderboard, those that stand only where a row has a value of them.
         further_errors: The same of a sequence's means.
         further_counts: And of what is counted over a sequence.
+        further_numbers: And of a sequence's other numbers: shares, and the largest of something.
+        paired: Columns of sequences whose mean difference from the row that a row is held against is kept.
+        regretted: The one of which a row's regret is, held against its floor.
         traits: Of a sequence, text.
         no_difference: Error to what nobody would call a difference in its mean.
         traits_of: A dataset's sequence to its traits.
-        count: A record to its counts.
+        count: A record to its counts, and to its ``further_numbers``.
         describe: A dataset, and how many frames of each sequence are meant by first, to what is kept of it: at least
             ``sequences`` and ``frames``, how many there are, and ``first_sha256``, sequence to a hash of these frames.
         page: The Markdown page.
@@ -61,6 +64,9 @@ class Sheet:
     further_columns: tuple[Field, ...] = ()
     further_errors: tuple[str, ...] = ()
     further_counts: tuple[str, ...] = ()
+    further_numbers: tuple[str, ...] = ()
+    paired: tuple[str, ...] = ()
+    regretted: str | None = None
 
     def leaderboard(self, rows: Iterable[Row]) -> tuple[Field, ...]:
         """Columns of ``leaderboard.csv``.
@@ -77,7 +83,9 @@ class Sheet:
             rows: As above.
         """
         head = (*text("row_id", "block", "unit", *self.traits), *count("repeat"), *text("status"), *count("frames"))
-        further = filled((*number(*self.further_errors), *count(*self.further_counts)), rows)
+        further = filled(
+            (*number(*self.further_errors), *count(*self.further_counts), *number(*self.further_numbers)), rows
+        )
         return (*head, *number(*self.errors), *count(*self.counts), *further)
 
     @property

@@ -86,9 +86,9 @@ class TableRow(RowRequest):
         label: What it is called in the table.
         published: The row among the published figures that it stands for.
         beside: One that it is shown beside, which is another method's or another protocol's.
-        floor: Row id of the floor it is held against.
-        against: Row id that it may better: the same without what it is to show the worth of. On a dataset of another
-            block that must be of the same motion.
+        floor: Row id of the floor it is held against: of one that knows what no other can.
+        against: Row id that it may better: the same without what it is to show the worth of, or another method. On a
+            dataset of another block that must be of the same motion.
         timing: What its latencies are measured on, where that differs from the table's: for what is very slow.
         quick_options: Options put over ``options`` in a quick run, for what is slow however few the frames are.
     """

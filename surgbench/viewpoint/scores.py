@@ -34,8 +34,6 @@ TRUE_ERRORS = ("vva_true_deg", "fd_true_mm", "pf_true_deg", "an_true_deg")
 SIGNED = "fd_signed_mm"
 # The article's step towards a far goal.
 INTERPOLATE_BEYOND_M, INTERPOLATE_SHARE = 0.015, 0.5
-# The commanded camera may be this deep in the no-go zone before it counts as a violation.
-NO_GO_TOLERANCE_M = 1e-3
 
 
 def _angle_deg(a: FloatArray, b: FloatArray) -> FloatArray:
@@ -102,22 +100,3 @@ def naive_violations(trial: Trial, scene: ViewpointScene, steps: int | None = No
     feature = np.nan_to_num(trial.T_world_feature[:steps])
     pose = naive_pose(feature, scene.distance_m)
     return violations(pose, feature[:, :3, 3], scene.workspace, scene.arm, scene.T_world_base)
-
-
-def depths(course: Course, trial: Trial, scene: ViewpointScene) -> dict[str, FloatArray]:
-    """How far the commanded camera was beyond each rule of place at each step, metres, negative where it was not.
-
-    Of the controller's goal and of the set point on the way there, the worse one.
-
-    Returns:
-        ``no_go_depth_m``, ``floor_depth_m`` and ``proximity_m``, each ``(T,)``.
-    """
-    workspace = scene.workspace
-    feature = np.nan_to_num(trial.T_world_feature[: len(course.goals), :3, 3])
-    found = []
-    for joints in (course.goals, course.setpoints[1:]):
-        place = (scene.T_world_base @ scene.arm.forward(joints))[:, :3, 3]
-        near = workspace.proximity_m - np.linalg.norm(place - feature, axis=1)
-        found.append([workspace.zone.depth(place), workspace.below_floor(place), near])
-    names = ("no_go_depth_m", "floor_depth_m", "proximity_m")
-    return {name: np.maximum(*pair) for name, pair in zip(names, zip(*found, strict=True), strict=True)}

@@ -13,7 +13,8 @@ from surgbench.trackers.gaze import Gaze, GazeConfig
 from surgbench.trackers.viewing.approach import chase, track
 from surgbench.trackers.viewing.fit import RESIDUALS, fit, residuals
 from surgbench.viewpoint.camera_arm import CameraArm
-from surgbench.viewpoint.scores import course_errors, depths
+from surgbench.viewpoint.rules import reported_depths
+from surgbench.viewpoint.scores import course_errors
 from surgbench.viewpoint.simulator import Course, Simulation, make_scene
 from surgbench.viewpoint.trial import Trial
 
@@ -145,7 +146,7 @@ def test_a_normal_on_the_wrong_side_keeps_the_view_on_the_right_one() -> None:
     assert errors["vva_deg"].max() < 1.5
     assert errors["vva_deg"][-1] < 0.01
     assert errors["fd_mm"][-1] < 0.5
-    assert depths(course, trial, scene)["no_go_depth_m"].max() < 0
+    assert reported_depths(course, trial, scene)["no_go"].max() < 0
     # No nearer place is allowed: the camera is on the border of its side.
     assert poses[-1, 0, 3] < 0.03
 

@@ -16,7 +16,8 @@ from surgbench.tasks.viewpoint.conformance.worlds import DT_S, circling, feature
 from surgbench.viewpoint.camera_arm import CameraArm
 from surgbench.viewpoint.contract import ViewCommand, ViewpointObservation, ViewpointScene
 from surgbench.viewpoint.placement import naive_pose
-from surgbench.viewpoint.scores import course_errors, depths, naive_violations, view_errors
+from surgbench.viewpoint.rules import find_events, reported_depths
+from surgbench.viewpoint.scores import course_errors, naive_violations, view_errors
 from surgbench.viewpoint.servo import JointServo
 from surgbench.viewpoint.simulator import Course, InvalidCommandError, Simulation, _rigid, make_scene
 from surgbench.viewpoint.trial import Trial
@@ -229,14 +230,16 @@ def test_commands_beyond_the_limits_are_clipped_and_counted() -> None:
     np.testing.assert_allclose(course.joints[-1], ARM.upper, atol=1e-6)
 
 
-def test_commanding_the_zone_is_seen() -> None:
-    trial = circling(50)
+def test_going_into_the_zone_is_one_event() -> None:
+    trial = circling(200)
     scene = make_scene(trial)
     into = naive_pose(feature_poses(np.array([0.0, 0.0, 0.02]), np.array([0.6, -0.2, 0.7])), 0.01)
     course = simulate(lambda observation, scene: into, trial)
-    assert depths(course, trial, scene)["no_go_depth_m"].min() > 1e-3
+    found = find_events(reported_depths(course, trial, scene)["no_go"], "no_go")
+    assert (found.count, found.longest) == (1, found.samples)
+    assert found.deepest > 10.0
     away = simulate(lambda observation, scene: observation.setpoint, trial)
-    assert depths(away, trial, scene)["no_go_depth_m"].max() < 0
+    assert find_events(reported_depths(away, trial, scene)["no_go"], "no_go").count == 0
 
 
 def test_an_arm_that_starts_outside_its_limits_is_an_error() -> None:

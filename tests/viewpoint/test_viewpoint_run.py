@@ -14,15 +14,20 @@ import yaml
 from commandline import AMPLE_S, STRANGERS, records, surgbench
 
 from surgbench.dataset.open import open_dataset
+from surgbench.generation import GenerationRequest
+from surgbench.generators.dispatch import plan_preset
+from surgbench.generators.resumable import generate
 from surgbench.processes.child import Child
 from surgbench.report.field import keys
 from surgbench.report.rows import read_rows
+from surgbench.reproduce.load import load_table
+from surgbench.reproduce.table import Block, DatasetRequest
 from surgbench.suite import running
 from surgbench.tasks.viewpoint.dataset import ViewpointDataset
 from surgbench.tasks.viewpoint.records import ViewpointFrames, ViewpointRecord
 from surgbench.tasks.viewpoint.rows import VIEWPOINT_COLUMNS
 from surgbench.tasks.viewpoint.worker import ViewpointSetup
-from surgbench.viewpoint.scores import NO_GO_TOLERANCE_M, naive_violations
+from surgbench.viewpoint.scores import naive_violations
 from surgbench.viewpoint.simulator import make_scene
 
 SAMPLES = 260
@@ -52,11 +57,12 @@ def test_a_record_holds_the_course_and_its_errors(dataset: Path, runs: Path) -> 
         assert (record["status"], record["unit_frames"]) == ("ok", SAMPLES)
         assert record["spec"]["task"] == "viewpoint"
         frames, errors = record["frames"], record["errors"]
-        assert set(frames) == set(ViewpointFrames.model_fields) - {"tags_px"}  # no picture was taken
+        # No picture was taken, and nobody looked whether a rule could have been kept.
+        assert set(frames) == set(ViewpointFrames.model_fields) - {"tags_px", "unavoidable"}
         assert set(errors) == set(ViewpointRecord.error_names)
         assert {len(values) for values in [*frames.values(), *errors.values()]} == {SAMPLES}
         assert np.isfinite(np.array(frames["joints"])).all()
-        assert not any(frames["limit_violation"])
+        assert max(frames["joint_limit_deg"]) <= 0.0
     # The same samples are constrained for both controllers, and they are those of the naive pose.
     data = open_dataset(dataset)
     assert isinstance(data, ViewpointDataset)
@@ -64,6 +70,34 @@ def test_a_record_holds_the_course_and_its_errors(dataset: Path, runs: Path) -> 
         trial = data.trial(record["spec"]["unit"])
         expected = naive_violations(trial, make_scene(trial)).any
         np.testing.assert_array_equal(np.array(record["frames"]["rules"]) != 0, expected)
+
+
+@pytest.mark.slow
+def test_a_part_of_a_dataset_is_its_trials_alone_and_the_same(dataset: Path, tmp_path: Path) -> None:
+    """What --quick and --check make: the second trial, without the first."""
+    plan = plan_preset("wire-chaser-mini", GenerationRequest(sequences=2, frames=SAMPLES, part=(("001",), 100)))
+    generate(plan, tmp_path, jobs=1, progress=lambda frames: None)
+    part, whole = open_dataset(tmp_path), open_dataset(dataset)
+    assert [unit.sequence for unit in part.units()] == ["001"]
+    assert part.manifest.configuration["part"] == ["001"]
+    assert part.manifest.files.items() <= whole.manifest.files.items()
+
+
+QUICK = load_table("autocam").table
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("block", QUICK.blocks, ids=lambda block: block.name)
+def test_rules_bind_in_what_a_quick_run_shows(block: Block, tmp_path: Path) -> None:
+    """And in some samples none does, and in some the naive pose is out of reach or too near: no table is empty."""
+    assert isinstance(block.dataset, DatasetRequest)
+    plan = plan_preset(block.dataset.preset, GenerationRequest(part=(block.quick_sequences, QUICK.quick.frames)))
+    generate(plan, tmp_path, jobs=1, progress=lambda frames: None)
+    data = open_dataset(tmp_path)
+    assert isinstance(data, ViewpointDataset)
+    trial = data.trial(block.quick_sequences[0])
+    found = naive_violations(trial, make_scene(trial), QUICK.quick.frames)
+    assert min(found.any.sum(), (~found.any).sum(), found.solver.sum()) >= 50
 
 
 @pytest.mark.slow
@@ -75,13 +109,18 @@ def test_rows_are_of_subsets_that_make_up_the_whole(runs: Path) -> None:
     assert whole["samples"] == 2 * SAMPLES == free["samples"] + bound["samples"]
     assert whole["constrained_percent"] == pytest.approx(100 * bound["samples"] / whole["samples"])
     assert set(keys(VIEWPOINT_COLUMNS)) <= set(whole)
-    assert whole["no_go_violations"] == whole["limit_violations"] == whole["clipped_commands"] == 0
+    assert whole["no_go_samples"] == whole["joint_limit_samples"] == whole["clipped_commands"] == 0
+    assert free["no_go_samples"] is None  # rules are of whole runs
     own = [record["frames"] for record in records(runs) if record["spec"]["row_id"] == "gaze"]
     times = np.concatenate([np.array(frames["latency_ms"])[np.array(frames["rules"]) != 0] for frames in own])
     assert bound["latency_ms_mean"] == pytest.approx(times.mean())
-    for record in records(runs):
-        depths = np.array(record["frames"]["no_go_depth_m"])
-        assert record["spec"]["row_id"] != "gaze" or (depths < NO_GO_TOLERANCE_M).all()
+    of_gaze = [record["frames"] for record in records(runs) if record["spec"]["row_id"] == "gaze"]
+    deepest = max(max(frames["floor_mm"]) for frames in of_gaze)
+    assert whole["floor_deepest_mm"] == pytest.approx(max(deepest, 0.0))
+    # Where the base really is, the camera was lower or higher than it is said to have been.
+    assert all(np.ptp(np.subtract(frames["floor_mm_true"], frames["floor_mm"])) > 1e-3 for frames in of_gaze)
+    assert whole["visibility_any_percent"] == whole["framed_any_percent"] == 100.0
+    assert whole["visibility_any_percent_low"] == 100.0
 
 
 @pytest.mark.slow
@@ -230,7 +269,10 @@ TABLE: dict[str, Any] = {
             "dataset": {"preset": "wire-chaser-mini", "sequences": 2, "frames": 200},
             "quick_sequences": ["000"],
             "rows": [
-                {"row_id": "gaze", "label": "Gaze", "tracker": "gaze"},
+                {
+                    **{"row_id": "gaze", "label": "Gaze", "tracker": "gaze", "photographs_hz": 5.0},
+                    **{"against": "watching", "floor": "watching"},
+                },
                 {"row_id": "watching", "label": "Watching", "tracker": f"{STRANGERS}:Watching"},
             ],
         }
@@ -265,6 +307,15 @@ def test_a_table_stands_beside_the_published_figures(made: Path) -> None:
     lines = list(csv.DictReader((folder / "sequences.csv").read_text().splitlines()))
     own = [float(line["vva_deg"]) for line in lines if line["row_id"] == "gaze"]
     assert float(gaze["vva_deg"]) == pytest.approx(np.mean(own))
+    # Rules, and what two trials say of the difference from the row that it is held against.
+    assert "| Gaze | `gaze` | reported | 0 |" in page
+    other = [float(line["vva_deg"]) for line in lines if line["row_id"] == "watching"]
+    assert float(gaze["vva_deg_difference"]) == pytest.approx(np.mean(own) - np.mean(other))
+    difference, low, high = (float(gaze[f"vva_deg_difference{end}"]) for end in ("", "_low", "_high"))
+    assert f"| Gaze | `gaze` | `watching` | {difference:.2f} [{low:.2f}, {high:.2f}] |" in page
+    assert float(gaze["regret"]) < 0
+    tags = next(row for row in rows if row["pixels"] == "tags" and row["camera"] == "any")
+    assert f"{float(tags['visibility_any_percent']):.2f} [" in page
 
 
 @pytest.mark.slow
@@ -294,6 +345,6 @@ def test_quick_tables_are_short(made: Path) -> None:
 def test_figures_are_drawn_where_matplotlib_is(made: Path) -> None:
     pytest.importorskip("matplotlib")
     folder = made / "results" / "tiny"
-    for name in ("figure.png", "paths.png"):
+    for name in ("figure.png", "paths.png", "centroids.png", "pixels.png"):
         assert (folder / name).read_bytes().startswith(b"\x89PNG")
         assert name in (folder / "leaderboard.md").read_text(encoding="utf-8")

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import example, given
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from surgbench.geometry import FloatArray, is_rigid, rigid_transform, rotation_angle, rotation_from_vector
 from surgbench.viewpoint.camera_arm import CameraArm
 from surgbench.viewpoint.placement import CONSTRAINTS, look_at, naive_pose, view_along, violations
-from surgbench.viewpoint.registration import RegistrationError, Touches, register, residual_m
+from surgbench.viewpoint.registration import Method, RegistrationError, Touches, register, residual_m
 from surgbench.viewpoint.workspace import NoGoZone, Workspace, WorkspaceError
 
 # The published zone, in the frame of the arm that touched it (metres).
@@ -140,13 +140,44 @@ def test_every_rule_is_seen_alone() -> None:
 TOUCHED = np.array([[-0.04, -0.035, 0.0], [0.04, -0.03, 0.01], [0.04, 0.035, 0.0], [-0.03, 0.03, 0.03], [0, 0, 0.05]])
 
 
+@pytest.mark.parametrize(("method", "exact_m"), [("rigid", 1e-12), ("lad", 1e-9)])
+@settings(max_examples=20)
 @given(st.tuples(*(st.floats(-1, 1),) * 3), points)
-def test_a_rigid_registration_recovers_the_base(turn: tuple[float, ...], place: FloatArray) -> None:
+def test_a_registration_of_exact_points_recovers_the_base(
+    method: Method, exact_m: float, turn: tuple[float, ...], place: FloatArray
+) -> None:
     true = rigid_transform(rotation_from_vector(np.array(turn)), place)
     touches = Touches(TOUCHED, (TOUCHED - true[:3, 3]) @ true[:3, :3])
-    found = register(np.eye(4), touches, "rigid")
-    np.testing.assert_allclose(found, true, atol=1e-12)
-    assert residual_m(found, touches) < 1e-12
+    found = register(np.eye(4), touches, method)
+    np.testing.assert_allclose(found, true, atol=exact_m)
+    assert residual_m(found, touches) < exact_m
+
+
+@pytest.mark.parametrize("bad", range(len(TOUCHED)))
+def test_one_bad_touch_does_not_move_a_registration_by_least_absolute_error(bad: int) -> None:
+    """Nor does it matter how bad it is; least squares go along with it."""
+    true = rigid_transform(rotation_from_vector(np.radians([6.0, 6.0, 5.0])), np.array([0.1, 0.2, 0.3]))
+    base = (TOUCHED - true[:3, 3]) @ true[:3, :3]
+    for by_m in (0.003, 0.03):
+        world = TOUCHED.copy()
+        world[bad] += by_m * np.array([0.6, -0.64, 0.48])
+        touches = Touches(world, base)
+        np.testing.assert_allclose(register(np.eye(4), touches, "lad"), true, atol=1e-8)
+        moved = register(np.eye(4), touches, "rigid")
+        assert np.linalg.norm((moved - true)[:3, 3]) > 0.1 * by_m
+
+
+def test_least_absolute_error_is_the_least() -> None:
+    """No small motion about it, of any kind, brings the points nearer to each other; least squares bring them less."""
+    rng = np.random.default_rng(3)
+    touches = Touches(TOUCHED + 0.002 * rng.standard_normal(TOUCHED.shape), TOUCHED)
+    found = register(np.eye(4), touches, "lad")
+    least = residual_m(found, touches)
+    assert least < residual_m(register(np.eye(4), touches, "rigid"), touches)
+    for size in (1e-3, 1e-5):
+        for turn, shift in rng.standard_normal((50, 2, 3)):
+            other = rigid_transform(rotation_from_vector(10 * size * turn), size * shift) @ found
+            assert residual_m(other, touches) >= least - 1e-12
 
 
 def test_a_translation_leaves_the_rotation_and_some_millimetres() -> None:
@@ -164,8 +195,9 @@ def test_a_translation_leaves_the_rotation_and_some_millimetres() -> None:
 
 def test_touches_that_register_nothing_are_an_error() -> None:
     line = np.outer(np.arange(5.0), [0.01, 0, 0])
-    with pytest.raises(RegistrationError, match="not on a line"):
-        register(np.eye(4), Touches(line, line), "rigid")
+    for method in ("rigid", "lad"):
+        with pytest.raises(RegistrationError, match="not on a line"):
+            register(np.eye(4), Touches(line, line), method)
     with pytest.raises(RegistrationError, match="finite"):
         register(np.eye(4), Touches(line * np.nan, line), "translation")
     with pytest.raises(RegistrationError, match="as many"):

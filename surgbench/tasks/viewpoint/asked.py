@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated
 
 from pydantic import Field
 
 from surgbench.suite.asked import RowRequest
-
-Registration = Literal["none", "translation", "rigid"]
+from surgbench.viewpoint.registration import Method
 
 
 class ViewpointRow(RowRequest):
@@ -20,7 +19,7 @@ class ViewpointRow(RowRequest):
         photographs_hz: So many stereo pictures a second are rendered, and the feature is found in them.
     """
 
-    registration: Annotated[Registration, Field(description="How touched points correct the camera arm's base.")] = (
+    registration: Annotated[Method, Field(description="How touched points correct the camera arm's base.")] = (
         "translation"
     )
     missing_face: Annotated[bool, Field(description="One side of the no-go zone open, as published.")] = False

@@ -29,8 +29,10 @@ COLUMNS = (
     TRUE_VVA,
     Column("constrained_percent", "constrained", "%", 1, short="bound\n%"),
     Column("visibility_any_percent", "visible to a camera", "%", 2, short="seen\n%", from_width=90),
-    Column("no_go_violations", "no-go violations", short="no-\ngo"),
-    Column("limit_violations", "limit violations", short="limit", from_width=100),
+    Column("no_go_samples", "samples in the zone", short="no-\ngo"),
+    Column("floor_samples", "below the floor", short="floor", from_width=100),
+    Column("proximity_samples", "too near", short="near", from_width=100),
+    Column("orientation_samples", "on the wrong side", short="side", from_width=110),
     Column("latency_ms", "latency", "ms", 3, short="time\nms", best=True),
     P999,
 )
@@ -41,7 +43,7 @@ PAGE_SIGNED = Column("fd_signed_mm", "FD, signed", "mm", 2)
 # the mean time of a call, of which the article has fewer digits,
 PAGE_TIME = Column("latency_ms_mean", "time", "ms", 3)
 PUBLISHED_TIME = replace(PAGE_TIME, key="latency_ms", decimals=2)
-# what was true, and what was commanded,
+# what was true,
 PAGE_TRUTH = (
     TRUE_VVA,
     Column("fd_true_mm", "true FD", "mm", 2),
@@ -49,13 +51,27 @@ PAGE_TRUTH = (
     Column("an_true_deg", "true AN", "deg", 2),
     Column("pn_full_mm", "PN, whole way", "mm", 2),
     Column("constrained_percent", "constrained", "%", 2),
-    Column("no_go_violations", "in the zone"),
-    Column("floor_violations", "below the floor"),
-    Column("proximity_violations", "too near"),
-    Column("limit_violations", "beyond limits"),
     Column("clipped_commands", "clipped commands"),
     P999,
 )
+# which rules were broken, how often and how much,
+PAGE_RULES = {
+    "no_go": "in the zone",
+    "floor": "below the floor",
+    "proximity": "too near",
+    "orientation": "on the wrong side",
+    "joint_limit": "beyond joint limits",
+}
+PAGE_UNAVOIDABLE = Column("unavoidable_samples", "unavoidable samples")
+# by how much a row differs from the one that it is held against, trial by trial,
+PAGE_PAIRED = (
+    VVA,
+    FD,
+    PF,
+    Column("view_cost", "cost", decimals=3),
+    Column("visibility_any_percent", "seen any", "points", 2),
+)
+PAGE_REGRET = Column("regret", "regret", decimals=3)
 # and where the feature was in the pictures: of the left and of the right one, of both together, and whether at all.
 _PICTURE_ERRORS = {"l2": "L2", "u": "u", "v": "v"}
 PAGE_EYES = {
@@ -66,3 +82,4 @@ PAGE_BOTH = tuple(Column(f"{key}_error_percent", f"{name} both", "%", 2) for key
 PAGE_SEEN = {
     which: Column(f"visibility_{which}_percent", f"seen {which}", "%", 2) for which in ("left", "right", "any", "both")
 }
+PAGE_FRAMED = Column("framed_any_percent", "in a picture", "%", 2)

@@ -17,7 +17,8 @@ from surgbench.tasks.viewpoint.pictures import Pictures
 from surgbench.tasks.viewpoint.plan import ViewpointSettings
 from surgbench.tasks.viewpoint.worker import ViewpointSetup
 from surgbench.viewpoint.contract import ViewpointScene
-from surgbench.viewpoint.scores import course_errors, depths, naive_violations
+from surgbench.viewpoint.rules import TWINS, depth_name, reported_depths, true_depths
+from surgbench.viewpoint.scores import course_errors, naive_violations
 from surgbench.viewpoint.simulator import Course, make_scene
 from surgbench.viewpoint.trial import Trial
 from surgbench.viewpoint.workspace import NoGoZone
@@ -59,6 +60,7 @@ def execute(job: Job, dataset: ViewpointDataset, run: Run) -> dict[str, Any]:
         "status": status,
         "error": error,
         "traceback": trace,
+        "dt_s": trial.dt_s,
         **({"frames": {}, "errors": {}} if course is None else measure(course, trial, scene, pictures)),
     }
 
@@ -79,8 +81,11 @@ def measure(course: Course, trial: Trial, scene: ViewpointScene, pictures: Pictu
         "solver": course.solver.tolist(),
         "active": _bits(course.active),
         "rules": _bits(rules),
-        "limit_violation": (~scene.arm.within_limits(course.setpoints[1:], 1e-9)).tolist(),
-        **{name: np.round(one, JOINT_DECIMALS).tolist() for name, one in depths(course, trial, rules_of).items()},
+        **{
+            depth_name(rule, twin): _numbers(depth)
+            for twin, depths in zip(TWINS, (reported_depths, true_depths), strict=True)
+            for rule, depth in depths(course, trial, rules_of).items()
+        },
         "latency_ms": _numbers(course.latency_ms),
         **pictures.pixels(course, trial, scene),
     }

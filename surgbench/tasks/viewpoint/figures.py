@@ -1,6 +1,7 @@
 """The article's figures, from records. Needs Matplotlib.
 
-Errors over time with the rules that were active, the path in space, and where the feature was in the pictures.
+Errors over time with the rules that were active, the path in space, and where the feature was in the pictures, over
+time too.
 """
 
 from __future__ import annotations
@@ -14,8 +15,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from surgbench.files import write_atomic
-from surgbench.geometry import FloatArray
 from surgbench.tasks.viewpoint.draw import EDGES
+from surgbench.tasks.viewpoint.picture_rows import found_pixels
 from surgbench.tasks.viewpoint.records import ViewpointRecord
 from surgbench.viewpoint.contract import ViewpointScene
 from surgbench.viewpoint.placement import CONSTRAINTS, naive_pose
@@ -39,6 +40,7 @@ PANELS = (
     ("PN [mm]", "pn_mm"),
 )
 FEATURE_COLOUR, NAIVE_COLOUR, CAMERA_COLOUR, ZONE_COLOUR = "#1F77B4", "#2CA02C", "#D62728", "0.5"
+EYES = ("left", "right")
 DPI = 130
 
 
@@ -84,12 +86,16 @@ def draw_timeline(lines: Sequence[Line], dt_s: float, path: Path, title: str) ->
 def _bars(panel: Axes, rules: Any, dt_s: float) -> None:
     """A row of bars for each rule, above the errors."""
     for bit, (name, colour) in enumerate(zip(RULE_NAMES, RULE_COLOURS, strict=True)):
-        active = (rules >> bit) & 1
-        edges = np.flatnonzero(np.diff(np.concatenate([[0], active, [0]])))
-        spans = [(dt_s * a, dt_s * (b - a)) for a, b in edges.reshape(-1, 2)]
-        transform = panel.get_xaxis_transform()
-        panel.broken_barh(spans, (1.02 + 0.075 * bit, 0.05), color=colour, clip_on=False, transform=transform, lw=0)
-        panel.text(1.004, 1.01 + 0.075 * bit, name, transform=panel.transAxes, color=colour, fontsize=7, va="bottom")
+        _bar(panel, (rules >> bit) & 1, dt_s, bit, name, colour)
+
+
+def _bar(panel: Axes, flags: Any, dt_s: float, row: int, name: str, colour: str) -> None:
+    """Bars where ``(T,)`` flags are set, and their name, in a row above the panel."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], np.asarray(flags, dtype=bool), [False]]).astype(int)))
+    spans = [(dt_s * start, dt_s * (end - start)) for start, end in edges.reshape(-1, 2)]
+    transform = panel.get_xaxis_transform()
+    panel.broken_barh(spans, (1.02 + 0.075 * row, 0.05), color=colour, clip_on=False, transform=transform, lw=0)
+    panel.text(1.004, 1.01 + 0.075 * row, name, transform=panel.transAxes, color=colour, fontsize=7, va="bottom")
 
 
 def draw_paths(lines: Sequence[Line], trial: Trial, scene: ViewpointScene, path: Path) -> None:
@@ -120,22 +126,21 @@ def draw_paths(lines: Sequence[Line], trial: Trial, scene: ViewpointScene, path:
     _save(figure, path)
 
 
-def draw_centroids(
-    lines: Sequence[tuple[str, FloatArray, FloatArray]], width: int, height: int, path: Path, title: str
-) -> None:
-    """Where the feature was in the left and right pictures, as densities (Figs. 6 c and d).
+def draw_centroids(lines: Sequence[Line], width: int, height: int, path: Path, title: str) -> None:
+    """Where the feature was in the left and right pictures, as densities, by geometry (Figs. 6 c and d).
 
     Args:
-        lines: Label, and ``(n, 2)`` pixels of the left and of the right camera, NaN where it was not seen.
+        lines: Of one trial.
         width: Of a picture, pixels.
         height: Of a picture.
         path: PNG to write.
         title: Over the figure.
     """
     figure, axes = _figure(3.2 * len(lines), 5.6, 2, len(lines), squeeze=False, sharex=True, sharey=True)
-    for column, (label, *cameras) in enumerate(lines):
-        for row, (name, pixels) in enumerate(zip(("left", "right"), cameras, strict=True)):
+    for column, line in enumerate(lines):
+        for row, name in enumerate(EYES):
             panel = axes[row, column]
+            pixels = found_pixels(line.record, "projected_px")[:, row]
             seen = pixels[np.isfinite(pixels).all(axis=1)]
             bins = (np.arange(0, width + 1, 8) - 0.5, np.arange(0, height + 1, 8) - 0.5)
             panel.hist2d(seen[:, 0], seen[:, 1], bins=bins, cmin=1, cmap="viridis", norm="log")
@@ -143,11 +148,46 @@ def draw_centroids(
             panel.set(xlim=(0, width), ylim=(height, 0))
             panel.set_aspect("equal")
             if row == 0:
-                panel.set_title(label, fontsize=9)
+                panel.set_title(line.label, fontsize=9)
             if column == 0:
                 panel.set_ylabel(f"{name}: v [px]")
         axes[1, column].set_xlabel("u [px]")
     figure.suptitle(title, fontsize=10)
+    _save(figure, path)
+
+
+def draw_pixel_errors(lines: Sequence[Line], width: int, height: int, dt_s: float, path: Path, title: str) -> None:
+    """How far the feature was from the middle of both pictures over time, across and down (Figs. 6 e to h).
+
+    Lines by geometry, with gaps and a bar above where the ring was not seen, and dots by the tags where pictures were
+    taken.
+
+    Args:
+        lines: Of one trial.
+        width: Of a picture, pixels.
+        height: Of a picture.
+        dt_s: Seconds between steps.
+        path: PNG to write.
+        title: Over the figure.
+    """
+    figure, axes = _figure(15, 9.5, 4, 1, sharex=True)
+    middle = np.array([width / 2, height / 2])
+    panels = [(f"{eye}: |{axis} error| [px]", row, k) for row, eye in enumerate(EYES) for k, axis in enumerate("uv")]
+    for panel, (name, row, axis) in zip(axes, panels, strict=True):
+        for number, (colour, line) in enumerate(zip(COLOURS, lines, strict=False)):
+            off = np.abs(found_pixels(line.record, "projected_px")[:, row] - middle)[:, axis]
+            panel.plot(dt_s * np.arange(1, len(off) + 1), off, color=colour, lw=0.9, label=line.label)
+            _bar(panel, np.isnan(off), dt_s, number, "not seen", colour)
+            steps = [step for step, found in enumerate(line.record.frames.tags_px) if found is not None]
+            tags = np.abs(found_pixels(line.record, "tags_px")[:, row] - middle)[:, axis]
+            panel.plot(dt_s * (np.array(steps) + 1), tags, ".", color=colour, ms=2.2, alpha=0.5)
+        panel.set_ylabel(name)
+        panel.set_ylim(bottom=0)
+        panel.margins(x=0.005)
+    axes[-1].set_xlabel("time [s]")
+    handles, labels = axes[0].get_legend_handles_labels()
+    title += "; lines and bars: by geometry; dots: by tags"
+    figure.legend(handles, labels, loc="outside upper center", ncols=len(handles), frameon=False, title=title)
     _save(figure, path)
 
 

@@ -1,8 +1,10 @@
-"""Where the feature was in the stereo camera's pictures over a trial: by geometry, and by its tags in pictures."""
+"""Where the feature was in the stereo camera's pictures over a trial, and whether it was seen in them.
+
+By geometry, with what covers it, and by its tags in pictures.
+"""
 
 from __future__ import annotations
 
-import threading
 from typing import Any
 
 import numpy as np
@@ -10,12 +12,12 @@ import numpy as np
 from surgbench.geometry import FloatArray
 from surgbench.viewpoint.contract import ViewpointScene
 from surgbench.viewpoint.optics.stereo import AUTOCAM_STEREO
+from surgbench.viewpoint.optics.visibility import ring_shares
+from surgbench.viewpoint.rules import after_steps
 from surgbench.viewpoint.simulator import Course
 from surgbench.viewpoint.trial import Trial
 
 DECIMALS = 3
-# Runs are threads of this process, and Mitsuba does not like several.
-_ONE_AT_A_TIME = threading.Lock()
 
 
 class Pictures:
@@ -30,7 +32,9 @@ class Pictures:
         self._hz, self._rng = photographs_hz, rng
 
     def pixels(self, course: Course, trial: Trial, scene: ViewpointScene) -> dict[str, Any]:
-        """``projected_px`` and, where pictures are taken, ``tags_px`` of a record, on true poses where they are known.
+        """What a record has of pictures, on true poses where they are known.
+
+        That is ``projected_px``, ``ring_seen`` and, where pictures are taken, ``tags_px``. The tool is in them.
 
         Args:
             course: What happened.
@@ -40,22 +44,24 @@ class Pictures:
         count = len(course.goals)
         base = scene.T_world_base if trial.truth is None else trial.truth.T_world_base
         feature = trial.T_world_feature if trial.truth is None else trial.truth.T_world_feature
-        feature = feature[np.minimum(np.arange(1, count + 1), len(feature) - 1)]
+        feature = after_steps(feature, count)
         camera = base @ scene.arm.forward(course.joints[1:])
         projected, inside = AUTOCAM_STEREO.see(camera, feature[:, :3, 3])
-        found = {"projected_px": _rows(np.where(inside[..., None], projected, np.nan))}
+        found = {
+            "projected_px": _rows(np.where(inside[..., None], projected, np.nan)),
+            "ring_seen": _rows(ring_shares(AUTOCAM_STEREO, camera, feature)),
+        }
         if self._hz <= 0 or not count:
             return found
         steps = range(0, count, max(1, round(1 / (self._hz * trial.dt_s))))
-        with _ONE_AT_A_TIME:
-            return {**found, "tags_px": self._photograph(camera, feature, steps)}
+        return {**found, "tags_px": self._photograph(camera, feature, steps)}
 
     def _photograph(
         self, T_world_camera: FloatArray, T_world_feature: FloatArray, steps: range
     ) -> list[list[float | None] | None]:
         from surgbench.viewpoint.optics.markers import CentroidMeasurement
 
-        measurement = CentroidMeasurement(AUTOCAM_STEREO)
+        measurement = CentroidMeasurement(AUTOCAM_STEREO, tool=True)
         T_camera_left, T_camera_right = AUTOCAM_STEREO.T_camera_left, AUTOCAM_STEREO.T_camera_right
         tags: list[list[float | None] | None] = [None] * len(T_world_camera)
         for step in steps:
@@ -67,8 +73,8 @@ class Pictures:
 
 
 def _rows(pixels: FloatArray) -> list[list[float | None]]:
-    """``(T, 2, 2)`` pixels as lists of four, ``None`` for NaN."""
+    """``(T, …)`` numbers as one list for each step, ``None`` for NaN."""
     return [
         [None if np.isnan(value) else round(value, DECIMALS) for value in row]
-        for row in pixels.reshape(len(pixels), 4).tolist()
+        for row in pixels.reshape(len(pixels), -1).tolist()
     ]

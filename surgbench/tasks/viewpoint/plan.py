@@ -11,8 +11,9 @@ from surgbench.suite.asked import Conditions
 from surgbench.suite.plug import plug
 from surgbench.suite.settings import Settings
 from surgbench.suite.slices import cut
-from surgbench.tasks.viewpoint.asked import Registration, ViewpointRow
+from surgbench.tasks.viewpoint.asked import ViewpointRow
 from surgbench.tasks.viewpoint.dataset import ViewpointDataset
+from surgbench.viewpoint.registration import Method
 
 
 @dataclass(frozen=True)
@@ -26,7 +27,7 @@ class ViewpointSettings(Settings):
         foresees: The controller is told the whole trial beforehand, which no real one can be.
     """
 
-    registration: Registration
+    registration: Method
     missing_face: bool
     photographs_hz: float = 0.0
     foresees: bool = False

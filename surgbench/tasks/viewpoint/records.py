@@ -26,12 +26,23 @@ class ViewpointFrames(Frames):
         solver: Whether it optimised.
         active: The rules active in the controller's own view, one bit each.
         rules: Those that speak against the naive pose, the same for all controllers.
-        limit_violation: Whether the set point lay outside the joint limits.
-        no_go_depth_m: How deep in the no-go zone the commanded camera was; negative outside.
-        floor_depth_m: How far below the floor; negative above.
-        proximity_m: How much too near the feature; negative where it was not.
+        no_go_mm: How far the camera was beyond each rule after the step, on reported poses, as the following four;
+            negative within it (:mod:`surgbench.viewpoint.rules`).
+        floor_mm: Of the floor.
+        orientation_deg: Of the side.
+        proximity_mm: Of the smallest distance; ``None`` where the feature was not measured.
+        joint_limit_deg: Of the joints' limits.
+        no_go_mm_true: The same on true poses, as the following four; empty without truth.
+        floor_mm_true: Of the floor.
+        orientation_deg_true: Of the side.
+        proximity_mm_true: Of the smallest distance.
+        joint_limit_deg_true: Of the joints' limits.
+        unavoidable: The rules that no motion within the arm's limits could have kept, one bit each; empty where nobody
+            looked.
         latency_ms: What the step took.
         projected_px: u and v of the feature in the left and the right picture, ``None`` where it is outside.
+        ring_seen: Which share of the ring is in the left and the right picture and covered by neither the tool nor what
+            it holds.
         tags_px: The same as found by the tags in rendered pictures; ``None`` where no picture was taken.
     """
 
@@ -42,19 +53,32 @@ class ViewpointFrames(Frames):
     solver: list[bool] = []
     active: list[int] = []
     rules: list[int] = []
-    limit_violation: list[bool] = []
-    no_go_depth_m: list[float] = []
-    floor_depth_m: list[float] = []
-    proximity_m: list[float] = []
+    no_go_mm: list[Number] = []
+    floor_mm: list[Number] = []
+    orientation_deg: list[Number] = []
+    proximity_mm: list[Number] = []
+    joint_limit_deg: list[Number] = []
+    no_go_mm_true: list[Number] = []
+    floor_mm_true: list[Number] = []
+    orientation_deg_true: list[Number] = []
+    proximity_mm_true: list[Number] = []
+    joint_limit_deg_true: list[Number] = []
+    unavoidable: list[int] = []
     projected_px: list[list[Number]] = []
+    ring_seen: list[list[Number]] = []
     tags_px: list[list[Number] | None] = []
     latency_ms: list[Number] = []
 
 
 class ViewpointRecord(Record):
-    """One run of a viewpoint controller."""
+    """One run of a viewpoint controller.
+
+    Attributes:
+        dt_s: Seconds between steps; ``None`` in records of old versions.
+    """
 
     error_names: ClassVar[tuple[str, ...]] = (*POSE_ERRORS, SIGNED, *TRUE_ERRORS)
 
     spec: ViewpointRecordSpec
+    dt_s: Number = None
     frames: ViewpointFrames

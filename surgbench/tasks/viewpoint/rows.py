@@ -3,7 +3,8 @@
 The subsets are those of the naive pose, and so the same samples for all controllers: ``constrained`` where any rule
 speaks against it, ``unconstrained`` where none does, ``solver`` where it is on the right side, but out of the arm's
 reach or, moved out of the no-go zone, too near. ``optimised`` alone is the controller's own: the samples in which it
-says that it optimised. Samples at which the feature was not measured belong to none.
+says that it optimised. Samples at which the feature was not measured belong to none. What is said of whole runs, rules
+that were broken and whether the feature was seen, stands in the row of all samples alone.
 """
 
 from __future__ import annotations
@@ -17,18 +18,17 @@ from surgbench.geometry import FloatArray
 from surgbench.report.field import count, flag, keys, number, text
 from surgbench.report.row import COMMON_COLUMNS, Row
 from surgbench.report.summary import summarise
+from surgbench.tasks.viewpoint.picture_rows import SOURCES, framed_row, picture_fields, picture_rows, visibility_row
 from surgbench.tasks.viewpoint.records import ViewpointRecord
+from surgbench.tasks.viewpoint.rule_rows import rule_fields, rule_row
 from surgbench.viewpoint.optics.centroids import ERRORS as PIXEL_ERRORS
-from surgbench.viewpoint.optics.centroids import centroid_table, visibility
-from surgbench.viewpoint.optics.stereo import AUTOCAM_STEREO
 from surgbench.viewpoint.placement import CONSTRAINTS
-from surgbench.viewpoint.scores import NO_GO_TOLERANCE_M, POSE_ERRORS, SIGNED, TRUE_ERRORS
+from surgbench.viewpoint.scores import POSE_ERRORS, SIGNED, TRUE_ERRORS
 
 SUBSETS = ("all", "unconstrained", "constrained", "solver", "optimised")
 ERRORS = (*POSE_ERRORS, SIGNED, *TRUE_ERRORS)
-VISIBILITY = ("left", "right", "any", "both")
 LATENCIES = ("latency_ms", "latency_ms_p95", "latency_ms_mean", "latency_ms_std", "latency_ms_p999")
-COUNTS = ("limit_violations", "clipped_commands", "no_go_violations", "floor_violations", "proximity_violations")
+CLIPPED = "clipped_commands"
 VIEWPOINT_COLUMNS = (
     *COMMON_COLUMNS,
     *number("latency_ms_mean", "latency_ms_std", "latency_ms_p999"),
@@ -38,12 +38,13 @@ VIEWPOINT_COLUMNS = (
     *count("samples"),
     *number(*(f"{error}{suffix}" for error in ERRORS for suffix in ("", "_std", "_sem"))),
     *number("constrained_percent", "solver_percent"),
-    *count(*COUNTS),
+    *count(CLIPPED),
+    *rule_fields(),
     *text("camera", "pixels"),
     *number(
         *(f"{error}_error_{unit}{s}" for error in PIXEL_ERRORS for unit in ("px", "percent") for s in ("", "_std"))
     ),
-    *number(*(f"visibility_{which}_percent" for which in VISIBILITY)),
+    *picture_fields(),
 )
 _ORIENTATION_BIT = 1 << CONSTRAINTS.index("orientation")
 _SOLVER_BITS = sum(1 << CONSTRAINTS.index(name) for name in ("proximity", "joint_limit"))
@@ -75,51 +76,10 @@ def viewpoint_rows(head: Row, records: list[ViewpointRecord]) -> list[Row]:
     }
     members = [subsets(record) for record in records]
     rows = [_row(common, name, records, [one[name] for one in members]) for name in SUBSETS]
-    rows[0] |= _visibility(*stacked_pixels(records, "projected_px"))
-    rows += [row for source in ("projected_px", "tags_px") for row in _pixel_rows(common, records, source)]
+    rows[0] |= {**rule_row(records), **visibility_row(records, "projected_px"), **framed_row(records)}
+    of_pictures = {**dict.fromkeys(keys(VIEWPOINT_COLUMNS)), **common, "subset": "all", **dict.fromkeys(LATENCIES)}
+    rows += [{**of_pictures, **row} for source in SOURCES for row in picture_rows(records, source)]
     return [row for row in rows if row["subset"] == "all" or row["samples"]]
-
-
-def stacked_pixels(records: list[ViewpointRecord], source: str) -> tuple[FloatArray, FloatArray]:
-    """Pixels ``(n, 2)`` of the left and the right camera of all samples, NaN where the feature was not seen.
-
-    Args:
-        records: Their steps are put in a row.
-        source: ``projected_px`` or ``tags_px``; samples without a picture are left out.
-    """
-    lists = [one for record in records for one in getattr(record.frames, source) if one is not None]
-    pixels = np.array(lists, dtype=np.float64).reshape(-1, 2, 2)
-    return pixels[:, 0], pixels[:, 1]
-
-
-def _visibility(left: FloatArray, right: FloatArray) -> Row:
-    return {
-        f"visibility_{which}_percent": None if np.isnan(share) else share
-        for which, share in visibility(left, right).items()
-    }
-
-
-def _pixel_rows(common: Row, records: list[ViewpointRecord], source: str) -> list[Row]:
-    """How far the feature was from the middle of the left picture, the right one, and any; trimmed as published."""
-    left, right = stacked_pixels(records, source)
-    if not len(left):
-        return []
-    table = centroid_table(left, right, (AUTOCAM_STEREO.left, AUTOCAM_STEREO.right))
-    rows = []
-    for camera in ("left", "right", "any"):
-        row: Row = {**dict.fromkeys(keys(VIEWPOINT_COLUMNS)), **common, "subset": "all", "samples": len(left)}
-        row |= dict.fromkeys(LATENCIES)
-        row |= {"camera": camera, "pixels": source.removesuffix("_px"), **_visibility(left, right)}
-        eye = {"left": table.left, "right": table.right}.get(camera)
-        for error in PIXEL_ERRORS:
-            spreads = {"percent": table.combined[error]} if eye is None else {}
-            if eye is not None:
-                spreads = {"px": eye.pixels[error], "percent": eye.percent[error]}
-            for unit, spread in spreads.items():
-                for suffix, value in (("", spread.mean), ("_std", spread.deviation)):
-                    row[f"{error}_error_{unit}{suffix}"] = None if np.isnan(value) else value
-        rows.append(row)
-    return rows
 
 
 def _row(common: Row, subset: str, records: list[ViewpointRecord], chosen: list[NDArray[np.bool_]]) -> Row:
@@ -135,8 +95,7 @@ def _row(common: Row, subset: str, records: list[ViewpointRecord], chosen: list[
     row |= _latencies(records, chosen)
     row["constrained_percent"] = _percent([np.array(r.frames.rules, dtype=int) != 0 for r in records], chosen)
     row["solver_percent"] = _percent([np.array(r.frames.solver, dtype=bool) for r in records], chosen)
-    counts = [counted(record, mask) for record, mask in zip(records, chosen, strict=True)]
-    row |= {name: sum(count[name] for count in counts) for name in COUNTS}
+    row[CLIPPED] = sum(clipped(record, mask) for record, mask in zip(records, chosen, strict=True))
     return row
 
 
@@ -163,17 +122,10 @@ def _by_trial(records: list[ViewpointRecord], chosen: list[NDArray[np.bool_]], e
     return list(trials.values())
 
 
-def counted(record: ViewpointRecord, chosen: NDArray[np.bool_]) -> dict[str, int]:
-    """How many of a record's chosen samples (``(T,)``) break each rule; keys are ``COUNTS``."""
-    frames = record.frames
-    flags = {
-        "limit_violations": np.array(frames.limit_violation, dtype=bool),
-        "clipped_commands": np.array(frames.clipped, dtype=bool),
-        "no_go_violations": np.array(frames.no_go_depth_m) > NO_GO_TOLERANCE_M,
-        "floor_violations": np.array(frames.floor_depth_m) > NO_GO_TOLERANCE_M,
-        "proximity_violations": np.array(frames.proximity_m) > NO_GO_TOLERANCE_M,
-    }
-    return {name: int(values[chosen].sum()) if len(values) else 0 for name, values in flags.items()}
+def clipped(record: ViewpointRecord, chosen: NDArray[np.bool_]) -> int:
+    """How many commands of a record's chosen samples (``(T,)``) lay outside the joints' limits."""
+    values = np.array(record.frames.clipped, dtype=bool)
+    return int(values[chosen].sum()) if len(values) else 0
 
 
 def _percent(flags: list[Any], chosen: list[NDArray[np.bool_]]) -> float | None:

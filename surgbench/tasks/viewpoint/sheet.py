@@ -12,13 +12,17 @@ from surgbench.files import sha256_text
 from surgbench.records.reader import read_record
 from surgbench.report.figures import FIGURE_PNG
 from surgbench.report.row import Row
+from surgbench.reproduce.paired import paired_fields
 from surgbench.reproduce.results import RECORDS, Results
 from surgbench.reproduce.sheet import Sheet
-from surgbench.tasks.viewpoint.figures import Line, draw_centroids, draw_paths, draw_timeline
-from surgbench.tasks.viewpoint.page import CENTROIDS_PNG, PATHS_PNG, page
+from surgbench.tasks.viewpoint.columns import PAGE_PAIRED
+from surgbench.tasks.viewpoint.figures import Line, draw_centroids, draw_paths, draw_pixel_errors, draw_timeline
+from surgbench.tasks.viewpoint.page import CENTROIDS_PNG, PATHS_PNG, PIXELS_PNG, page
+from surgbench.tasks.viewpoint.picture_rows import SEEN, seen_percent
 from surgbench.tasks.viewpoint.plan import ViewpointSettings
 from surgbench.tasks.viewpoint.records import ViewpointRecord
-from surgbench.tasks.viewpoint.rows import COUNTS, ERRORS, VIEWPOINT_COLUMNS, counted, stacked_pixels
+from surgbench.tasks.viewpoint.rows import CLIPPED, ERRORS, VIEWPOINT_COLUMNS, clipped, subsets
+from surgbench.tasks.viewpoint.rule_rows import DEEPEST, EVENT_COUNTS, UNAVOIDABLE, rule_row
 from surgbench.viewpoint.optics.stereo import AUTOCAM_STEREO
 from surgbench.viewpoint.scores import naive_violations
 from surgbench.viewpoint.simulator import make_scene
@@ -46,8 +50,16 @@ def _describe(dataset: ViewpointDataset, frames: int) -> dict[str, Any]:
     }
 
 
+PAIRED = tuple(column.key for column in PAGE_PAIRED)
+_COUNTS = (CLIPPED, *EVENT_COUNTS[""])
+_FURTHER_COUNTS = (*EVENT_COUNTS["_true"], UNAVOIDABLE)
+_NUMBERS = (*DEEPEST[""], *DEEPEST["_true"], *SEEN)
+
+
 def _count(record: ViewpointRecord) -> Row:
-    return {**counted(record, np.array(record.frames.asked, dtype=bool))}
+    of_rules = rule_row([record])
+    kept = {name: of_rules[name] for name in (*_COUNTS[1:], *_FURTHER_COUNTS, *DEEPEST[""], *DEEPEST["_true"])}
+    return {CLIPPED: clipped(record, subsets(record)["all"]), **kept, **seen_percent(record)}
 
 
 def _draw(definition: Definition, blocks: Sequence[BlockWork], results: Results, folder: Path) -> list[str]:
@@ -72,10 +84,11 @@ def _draw(definition: Definition, blocks: Sequence[BlockWork], results: Results,
     title = f"{dataset.name}, trial {trial.id}: errors over time"
     draw_timeline(lines, trial.dt_s, folder / FIGURE_PNG, title)
     draw_paths(lines, trial, make_scene(trial, registration=settings.registration), folder / PATHS_PNG)
-    clouds = [(line.label, *stacked_pixels([line.record], "projected_px")) for line in lines]
     size = AUTOCAM_STEREO.left.width, AUTOCAM_STEREO.left.height
-    draw_centroids(clouds, *size, folder / CENTROIDS_PNG, f"{dataset.name}, trial {trial.id}: the ring in the pictures")
-    return [FIGURE_PNG, PATHS_PNG, CENTROIDS_PNG]
+    title = f"{dataset.name}, trial {trial.id}: the ring in the pictures"
+    draw_centroids(lines, *size, folder / CENTROIDS_PNG, title)
+    draw_pixel_errors(lines, *size, trial.dt_s, folder / PIXELS_PNG, title)
+    return [FIGURE_PNG, PATHS_PNG, CENTROIDS_PNG, PIXELS_PNG]
 
 
 def _no_traits(dataset: ViewpointDataset, sequence: str) -> Row:
@@ -86,7 +99,7 @@ VIEWPOINT_SHEET = Sheet(
     columns=VIEWPOINT_COLUMNS,
     errors=ERRORS,
     spreadless=(),
-    counts=COUNTS,
+    counts=_COUNTS,
     traits=(),
     no_difference={
         "vva_deg": 0.02,
@@ -102,4 +115,9 @@ VIEWPOINT_SHEET = Sheet(
     page=page,
     draw=_draw,
     estimates="setpoint",
+    further_columns=paired_fields(PAIRED),
+    further_counts=_FURTHER_COUNTS,
+    further_numbers=_NUMBERS,
+    paired=PAIRED,
+    regretted="view_cost",
 )

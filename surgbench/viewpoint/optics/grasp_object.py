@@ -7,6 +7,10 @@ ring's centre at will without breaking its translation, so all four can be kept 
 lozenge prism along the tool, 22 degrees off the ring's plane: two look towards the ring's normal (ids 0 and 1), two
 away from it (2 and 3). The authors' logs have ids 0, 1, 3 and 2 seen 2366, 1597, 128 and 0 times.
 
+The tool is the project's own Large Needle Driver, straight, its jaws about the object's stem: the ring's centre is
+33 mm along the tool's z from its wrist yaw axis (the published code). How the wrist was bent is in no trial, so that
+where a bent tool's shaft would be is not known here.
+
 Frames: that of the feature (origin in the ring's centre, y the ring's normal, z along the tool, so that the tool is at
 negative z). A tag's origin is its first corner, x to its right, y up, z out of it.
 """
@@ -23,7 +27,9 @@ import trimesh
 from numpy.typing import NDArray
 
 from surgbench.geometry import FloatArray, rigid_transform, rotation_from_vector
+from surgbench.instrument import load_instrument
 from surgbench.instrument.model import LinkMesh
+from surgbench.state import JOINTS, STATE_SIZE
 
 DICTIONARY = cv2.aruco.DICT_4X4_1000
 # Cells across a tag, its black border included, and the white ones around it.
@@ -32,6 +38,15 @@ TAG_CELLS, QUIET_CELLS = 6, 1
 TAG_SIDE_M, TAG_SIDE_IN_CODE_M = 7.5e-3, 7.0e-3
 CHAMFER_RAD = np.radians(22.0)
 BLACK, WHITE = 0.05, 0.9
+# The wire chaser's ring: of the circle in the middle of its tube, and of the tube.
+RING_RADIUS_M, TUBE_RADIUS_M = 4.0e-3, 0.8e-3
+# The ring's centre along the tool's z, from the wrist yaw axis (the published code).
+RING_AHEAD_M = 0.033
+INSTRUMENT = "large_needle_driver"
+# What the jaws hold, from the ring to between them: its ends along z and its radius. And how far they open for it.
+STEM_M, STEM_RADIUS_M, JAW_RAD = (-0.029, -RING_RADIUS_M - TUBE_RADIUS_M / 2), 1.0e-3, 0.14
+REFLECTANCES = {"shaft": 0.15}
+STEEL, PLASTIC = 0.5, 0.7
 
 Texture = NDArray[np.float32]
 
@@ -138,7 +153,7 @@ def grasp_object(tags: Tags | None = None, tool: bool = False) -> Subject:
 
     Args:
         tags: Where they are; as published unless told.
-        tool: Also the ring, its stem and the tool's shaft, which no measurement needs.
+        tool: Also the ring (:func:`ring`), its stem and the tool that holds it.
     """
     tags = tags or Tags()
     size = tags.side_m * (TAG_CELLS + 2 * QUIET_CELLS) / TAG_CELLS
@@ -155,13 +170,32 @@ def grasp_object(tags: Tags | None = None, tool: bool = False) -> Subject:
     points = [np.column_stack([across, np.full(4, z)]) for z in (-0.0232, -0.0115)]
     solids = [_solid(trimesh.convex.convex_hull(np.concatenate(points)), WHITE)]
     if tool:
-        ring = trimesh.creation.torus(0.0050, 0.0007, major_sections=48, minor_sections=12)
-        ring.apply_transform(rigid_transform(rotation_from_vector(np.array([np.pi / 2, 0.0, 0.0])), np.zeros(3)))
-        stem = trimesh.creation.cylinder(0.0010, segment=[[0, 0, -0.0118], [0, 0, -0.0050]], sections=16)
-        jaws = trimesh.creation.cylinder(0.0025, segment=[[0, 0, -0.036], [0, 0, -0.023]], sections=16)
-        shaft = trimesh.creation.cylinder(0.0042, segment=[[0, 0, -0.090], [0, 0, -0.036]], sections=32)
-        solids += [_solid(ring, 0.75), _solid(stem, 0.6), _solid(jaws, 0.5), _solid(shaft, 0.15)]
+        solids += [ring(), *holder()]
     return Subject(tuple(panels), tuple(solids))
+
+
+def ring() -> Solid:
+    """The ring, about the feature's y axis."""
+    mesh = trimesh.creation.torus(RING_RADIUS_M, TUBE_RADIUS_M, major_sections=32, minor_sections=8)
+    mesh.apply_transform(rigid_transform(rotation_from_vector(np.array([np.pi / 2, 0.0, 0.0])), np.zeros(3)))
+    return _solid(mesh, PLASTIC)
+
+
+def holder() -> tuple[Solid, ...]:
+    """The stem of the ring, and the instrument that holds it."""
+    stem = trimesh.creation.cylinder(STEM_RADIUS_M, segment=[[0, 0, z] for z in STEM_M], sections=16)
+    instrument = load_instrument(INSTRUMENT)
+    state = np.zeros(STATE_SIZE)
+    state[JOINTS] = [0.0, 0.0, JAW_RAD]
+    places = instrument.link_transforms(state)
+    # Jaws open along the ring's normal, either way: which of the two the frames' x axes point to does not show.
+    places[:, 2, 3] -= RING_AHEAD_M + places[instrument.link_index["yaw"], 2, 3]
+    parts = [_solid(stem, PLASTIC)]
+    for name, mesh in instrument.meshes.items():
+        T_feature_link = places[instrument.link_index[name]]
+        vertices = mesh.vertices_m @ T_feature_link[:3, :3].T + T_feature_link[:3, 3]
+        parts.append(Solid(LinkMesh(vertices, mesh.faces), REFLECTANCES.get(name, STEEL)))
+    return tuple(parts)
 
 
 def _solid(mesh: trimesh.Trimesh, reflectance: float) -> Solid:
