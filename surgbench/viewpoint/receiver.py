@@ -91,7 +91,7 @@ class Receiver:
 @compiled
 def _are_finite(numbers: FloatArray) -> bool:
     """Whether ``(n,)`` numbers are."""
-    for one in numbers:
+    for one in numbers:  # noqa: SIM110 (all() does not compile)
         if not math.isfinite(one):
             return False
     return True
@@ -116,7 +116,7 @@ def _keeps_lengths(pose: FloatArray) -> bool:
 
 @compiled(makes_arrays=True)
 def _reach(arm: FloatArray, reach_m: float, pose: FloatArray, near: FloatArray, joints: FloatArray) -> None:
-    """:meth:`surgbench.viewpoint.camera_arm.CameraArm.inverse` of one ``(4, 4)`` T_base_camera, which is overwritten."""
+    """:meth:`surgbench.viewpoint.camera_arm.CameraArm.inverse` of a ``(4, 4)`` pose, which is overwritten."""
     for k in range(3):
         pose[k, 3] -= reach_m * pose[k, 2]
     inverse(arm, pose, near, joints)
@@ -150,7 +150,7 @@ def _numbers(value: Any, what: str) -> FloatArray:
         raise InvalidCommandError(f"the controller returned nothing (None), not {what}")
     try:
         numbers = np.array(value, dtype=np.float64, order="C")
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise InvalidCommandError(f"the controller returned {type(value).__name__}, not {what} of numbers") from None
     if not _are_finite(numbers.reshape(-1)):
         raise InvalidCommandError(f"the controller returned {what} with NaN or infinity")

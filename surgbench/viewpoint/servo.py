@@ -34,6 +34,22 @@ def servo_timing(dt_s: float, lag_s: float) -> FloatArray:
     return np.array([dt_s, lag_s, np.exp(-dt_s / lag_s) if lag_s > 0 else 0.0])
 
 
+def resting_place(arm: CameraArm, setpoint: FloatArray, velocity: FloatArray) -> FloatArray:
+    """Where joints come to rest if they brake as hard as they can, within their limits.
+
+    Args:
+        arm: Its limits.
+        setpoint: ``(6,)`` what the joints are told at this moment.
+        velocity: ``(6,)`` how fast that moves.
+
+    Returns:
+        ``(6,)``: to ``move`` there is to hold.
+    """
+    goal = np.empty(JOINTS)
+    steps.rest(servo_limits(arm), np.array([setpoint, velocity]), goal)
+    return goal
+
+
 class JointServo:
     """Joints of an arm that are told where to go, once every ``dt_s``.
 

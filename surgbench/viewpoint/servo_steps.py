@@ -50,7 +50,7 @@ def slower(limits: FloatArray, joint: int, velocity: float, dt_s: float) -> floa
 
 @compiled
 def rest(limits: FloatArray, state: FloatArray, goal: FloatArray) -> None:
-    """Where the joints come to rest if they brake as hard as they can, within their limits, into ``goal`` (``(6,)``)."""
+    """Where the joints come to rest if they brake as hard as they can, within the limits, into ``goal`` (``(6,)``)."""
     for j in range(JOINTS):
         velocity = state[VELOCITY, j]
         stop = state[SETPOINT, j] + velocity * abs(velocity) / (2 * limits[ACCELERATION, j])

@@ -20,7 +20,7 @@ from surgbench.geometry import FloatArray
 from surgbench.viewpoint.camera_arm import CameraArm
 from surgbench.viewpoint.contract import ViewpointObservation, ViewpointScene
 from surgbench.viewpoint.placement import CONSTRAINTS
-from surgbench.viewpoint.receiver import InvalidCommandError, Receiver
+from surgbench.viewpoint.receiver import Receiver
 from surgbench.viewpoint.registration import Method, register, residual_m
 from surgbench.viewpoint.servo import JointServo
 from surgbench.viewpoint.trial import Trial

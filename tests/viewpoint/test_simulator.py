@@ -16,9 +16,10 @@ from surgbench.tasks.viewpoint.conformance.worlds import DT_S, circling, feature
 from surgbench.viewpoint.camera_arm import CameraArm
 from surgbench.viewpoint.contract import ViewCommand, ViewpointObservation, ViewpointScene
 from surgbench.viewpoint.placement import naive_pose
+from surgbench.viewpoint.receiver import InvalidCommandError, Receiver, _rigid
 from surgbench.viewpoint.scores import course_errors, depths, naive_violations, view_errors
 from surgbench.viewpoint.servo import JointServo
-from surgbench.viewpoint.simulator import Course, InvalidCommandError, Simulation, _rigid, make_scene
+from surgbench.viewpoint.simulator import Course, Simulation, make_scene
 from surgbench.viewpoint.trial import Trial
 
 ARM = CameraArm()
