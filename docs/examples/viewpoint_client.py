@@ -1,7 +1,10 @@
 """A camera controller outside surgbench, with nothing but Python's own library: `python viewpoint_client.py PORT`.
 
-It stays straight before the feature, 11 cm along its normal. Start `surgbench serve-viewpoint --dataset DIR --port PORT`
-first; docs/viewpoint-bridge.md says what is said.
+It stays straight before the feature, at the wanted distance along its normal. Start first
+
+    surgbench serve-viewpoint --dataset DIR --port PORT
+
+docs/viewpoint-bridge.md says what is said.
 """
 
 import json

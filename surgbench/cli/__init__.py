@@ -48,7 +48,11 @@ class _Commands(TyperGroup):
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """The command that the arguments begin with."""
         name, command, rest = super().resolve_command(ctx, args)
-        more = {"run": _run_with_all_options, "track": _track_with_all_options, "serve-viewpoint": _serve_with_all_options}
+        more = {
+            "run": _run_with_all_options,
+            "track": _track_with_all_options,
+            "serve-viewpoint": _serve_with_all_options,
+        }
         whole = more.get(name or "")
         return name, command if whole is None else whole(), rest
 

@@ -16,7 +16,7 @@ from surgbench.tasks.viewpoint.conformance.worlds import DT_S, circling, feature
 from surgbench.viewpoint.camera_arm import CameraArm
 from surgbench.viewpoint.contract import ViewCommand, ViewpointObservation, ViewpointScene
 from surgbench.viewpoint.placement import naive_pose
-from surgbench.viewpoint.receiver import InvalidCommandError, Receiver, _rigid
+from surgbench.viewpoint.receiver import InvalidCommandError, _rigid
 from surgbench.viewpoint.scores import course_errors, depths, naive_violations, view_errors
 from surgbench.viewpoint.servo import JointServo
 from surgbench.viewpoint.simulator import Course, Simulation, make_scene
