@@ -77,6 +77,10 @@ class Remote(ViewpointTracker):
                 self._give_up(error, f"step {observation.index}")
         return ViewCommand(resting_place(self._arm, observation.setpoint, observation.setpoint_velocity))
 
+    def close(self) -> None:
+        """Let go of the client, who stays connected to whoever handed the connection out."""
+        self._lines.socket.close()
+
     def _ask(self, question: Message, kind: type[Answer]) -> Answer:
         """The answer to a question; late ones to earlier questions are passed over.
 

@@ -117,9 +117,7 @@ class ViewpointNode(Node):
         self.create_subscription(PoseStamped, f"/{tool}/measured_cp", self._ring, 1)
         self.create_subscription(JointState, f"/{arm}/measured_js", self._measured, 1)
         self.create_subscription(JointState, f"/{arm}/setpoint_js", self._setpoint, 1)
-        self._publishers = {
-            mode: self.create_publisher(JointState, f"/{arm}/{mode}_jp", 1) for mode in ("servo", "move")
-        }
+        self._to = {mode: self.create_publisher(JointState, f"/{arm}/{mode}_jp", 1) for mode in ("servo", "move")}
         self.create_timer(self._scene["dt_s"], self.step)
 
     def step(self):
