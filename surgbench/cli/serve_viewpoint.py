@@ -145,7 +145,12 @@ def _score(
     check_output(out)
     wait_s, answer_s = patience_s
     under_way: list[Run] = []
-    hub = Hub(listener, wait_s, _say, lambda: [one.stop() for one in under_way] and None)
+
+    def stop() -> None:
+        for one in under_way:
+            one.stop()
+
+    hub = Hub(listener, wait_s, _say, stop)
     client = hub.client()
     # The process of a trial tells of itself every so many steps.
     silence_s = wait_s + (REPORT_EVERY + 2) * answer_s + 60.0

@@ -70,17 +70,20 @@ class JointServo:
     @property
     def setpoint(self) -> FloatArray:
         """``(6,)`` what the joints are told at this moment."""
-        return self._state[0]
+        setpoint: FloatArray = self._state[0]
+        return setpoint
 
     @property
     def velocity(self) -> FloatArray:
         """``(6,)`` how fast that moves."""
-        return self._state[1]
+        velocity: FloatArray = self._state[1]
+        return velocity
 
     @property
     def joints(self) -> FloatArray:
         """``(6,)`` where they are."""
-        return self._state[2]
+        joints: FloatArray = self._state[2]
+        return joints
 
     def move(self, goal: FloatArray) -> None:
         """One step towards rest at ``goal`` (``(6,)``, clipped to the limits)."""

@@ -45,7 +45,7 @@ def can_stop(limits: FloatArray, joint: int, setpoint: float, velocity: float) -
 def slower(limits: FloatArray, joint: int, velocity: float, dt_s: float) -> float:
     """A joint's velocity after one step of braking."""
     speed = max(abs(velocity) - limits[ACCELERATION, joint] * dt_s, 0.0)
-    return speed if velocity > 0 else -speed
+    return float(speed if velocity > 0 else -speed)
 
 
 @compiled

@@ -39,7 +39,7 @@ def tell_scene(scene: ViewpointScene, joints: FloatArray, id: Id, seed: int) -> 
             missing_face=workspace.zone.missing_face,
             floor_m=workspace.floor_m,
             proximity_m=workspace.proximity_m,
-            preferred_side=tuple(map(float, workspace.preferred_side)),
+            preferred_side=workspace.preferred_side,
         ),
     )
 
@@ -54,8 +54,8 @@ def tell_arm(arm: CameraArm) -> ArmEntry:
         camera_m=arm.camera_m,
         lower=tuple(arm.lower.tolist()),
         upper=tuple(arm.upper.tolist()),
-        velocity=tuple(map(float, arm.velocity)),
-        acceleration=tuple(map(float, arm.acceleration)),
+        velocity=tuple(np.asarray(arm.velocity, dtype=np.float64).tolist()),
+        acceleration=tuple(np.asarray(arm.acceleration, dtype=np.float64).tolist()),
     )
 
 
