@@ -124,14 +124,15 @@ def robot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Robot]:
     told = json.loads(tell_scene(make_scene(trial), trial.start, 0, 0).encode())
     scene = {key: value for key, value in told.items() if key not in ("type", "id", "joints")}
     (tmp_path / "scene.json").write_text(json.dumps(scene), encoding="utf-8")
-    for name, members in {
+    modules: dict[str, dict[str, Any]] = {
         "rclpy": {},
         "rclpy.node": {"Node": StubNode},
         "geometry_msgs": {},
         "geometry_msgs.msg": {"PoseStamped": SimpleNamespace},
         "sensor_msgs": {},
         "sensor_msgs.msg": {"JointState": JointState},
-    }.items():
+    }
+    for name, members in modules.items():
         module = ModuleType(name)
         vars(module).update(members)
         monkeypatch.setitem(sys.modules, name, module)
