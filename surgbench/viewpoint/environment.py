@@ -22,6 +22,7 @@ from surgbench.dataset.open import open_dataset
 from surgbench.errors import DatasetError, unknown_name
 from surgbench.extras import not_installed
 from surgbench.geometry import FloatArray
+from surgbench.viewpoint.registration import Method
 from surgbench.viewpoint.trial import Trial
 from surgbench.viewpoint.worlds import DEPTHS, ERRORS, Worlds
 
@@ -53,6 +54,9 @@ OBSERVED = {
     "proximity_m": 1,
     "measured": 1,
 }
+# What `info` tells of a step.
+TOLD = (*ERRORS, *DEPTHS)
+_REWARDS = np.array([-1.0, -BROKEN_COST_PER_MM])
 _MARGIN = 1e-3
 
 
@@ -77,7 +81,7 @@ class _Episodes:
         self,
         dataset: Path | str | None,
         trials: Sequence[Trial] | None,
-        registration: str,
+        registration: Method,
         steps: int | None,
         count: int,
     ) -> None:
@@ -114,23 +118,11 @@ class _Episodes:
 
     def observe(self) -> NDArray[np.float32]:
         """``(N, 37)`` observations."""
-        worlds, count = self.worlds, len(self.worlds.index)
-        numbers = np.empty((count, len(self._low)))
-        numbers[:, 0:6], numbers[:, 6:12], numbers[:, 12:18] = (worlds.state[:, part] for part in (2, 0, 1))
-        numbers[:, 18:33] = worlds.seen
-        numbers[:, 33:36] = worlds.views[:, len(ERRORS) :]
-        numbers[:, 36] = worlds.measured()
-        return np.clip(numbers, self._low, self._high).astype(np.float32)
+        return self.worlds.observe(self._low, self._high)
 
     def rewards(self) -> FloatArray:
-        """``(N,)`` of the last step: what the view costs, where the feature was measured, and broken rules."""
-        worlds = self.worlds
-        view = np.where(worlds.measured(-1), worlds.view_cost(), 0.0)
-        return -view - BROKEN_COST_PER_MM * worlds.broken_mm()
-
-    def told(self) -> dict[str, FloatArray]:
-        """``(N,)`` each: errors and depths of the last step."""
-        return dict(zip((*ERRORS, *DEPTHS), self.worlds.views.T.copy(), strict=True))
+        """``(N,)`` of the last step: what the view costs, and broken rules."""
+        return np.asarray(self.worlds.costs @ _REWARDS)
 
 
 class ViewpointEnv(gymnasium.Env):
@@ -171,7 +163,7 @@ class ViewpointEnv(gymnasium.Env):
         self,
         dataset: Path | str | None = None,
         trials: Sequence[Trial] | None = None,
-        registration: str = "translation",
+        registration: Method = "translation",
         steps: int | None = None,
         render_mode: str | None = None,
     ) -> None:
@@ -198,11 +190,11 @@ class ViewpointEnv(gymnasium.Env):
         if worlds.ended[0]:
             raise gymnasium.error.ResetNeeded("the trial is at its end, or has not begun: call reset()")
         worlds.step(np.asarray(action, dtype=np.float64).reshape(1, 6))
-        told = {name: float(values[0]) for name, values in self.episodes.told().items()}
-        if not worlds.measured(-1)[0]:
-            told = {name: told[name] for name in DEPTHS}
-        reward, ended = float(self.episodes.rewards()[0]), bool(worlds.ended[0])
-        return self.episodes.observe()[0], reward, False, ended, {"trial": self._trial, **told}
+        info: dict[str, Any] = dict(zip(TOLD, worlds.views[0].tolist(), strict=True))
+        if not worlds.counted[0]:
+            info = {name: info[name] for name in DEPTHS}
+        info["trial"] = self._trial
+        return self.episodes.observe()[0], float(self.episodes.rewards()[0]), False, bool(worlds.ended[0]), info
 
     @property
     def _trial(self) -> str:
@@ -230,7 +222,7 @@ class ViewpointVectorEnv(VectorEnv):
         num_envs: int = 1,
         dataset: Path | str | None = None,
         trials: Sequence[Trial] | None = None,
-        registration: str = "translation",
+        registration: Method = "translation",
         steps: int | None = None,
     ) -> None:
         self.num_envs = num_envs
@@ -260,14 +252,11 @@ class ViewpointVectorEnv(VectorEnv):
         """One step of every world's control loop."""
         worlds = self.episodes.worlds
         again = worlds.ended
-        worlds.step(np.asarray(actions, dtype=np.float64), again)
-        rewards, told, good = self.episodes.rewards(), self.episodes.told(), worlds.measured(-1) & ~again
-        info: dict[str, Any] = {}
-        for name, values in told.items():
-            there = ~again if name in DEPTHS else good
-            info[name], info[f"_{name}"] = np.where(there, values, 0.0), there
+        worlds.step(np.asarray(actions, dtype=np.float64))
+        rewards, counted = self.episodes.rewards(), worlds.counted
+        info: dict[str, Any] = dict(zip(TOLD, worlds.views.T.copy(), strict=True))
+        info |= {f"_{name}": ~again if name in DEPTHS else counted for name in TOLD}
         if again.any():
-            rewards[again] = 0.0
             self.episodes.begin(again, self._generators, None)
         return self.episodes.observe(), rewards, np.zeros(self.num_envs, dtype=bool), worlds.ended, info
 

@@ -21,6 +21,7 @@ from surgbench.viewpoint.servo_steps import (
     FASTEST,
     JOINTS,
     LOWER,
+    MEASURED,
     SETPOINT,
     UPPER,
     VELOCITY,
@@ -34,7 +35,9 @@ from surgbench.viewpoint.servo_steps import (
 _ROOM = 1e-12
 # What `views` has in a row.
 VVA_DEG, FD_MM, PF_DEG, AN_DEG, PN_FULL_MM, NO_GO_M, FLOOR_M, PROXIMITY_M = range(8)
-VIEWS = 8
+ERRORS, VIEWS = 5, 8
+# What `flags` has in a row.
+COUNTED, SEEN_NOW, ENDED = range(3)
 # What `seen` has in a row: feature and normal in the camera's frame, the world's up in it, feature and normal in the
 # base's.
 SEEN = 15
@@ -177,47 +180,63 @@ def depths(tables: Tables, k: int, sample: int, setpoint: FloatArray, pose: Floa
 @compiled(makes_arrays=True)
 def step_worlds(
     tables: Tables,
+    tolerances: FloatArray,
     trial: NDArray[np.int64],
+    shares: FloatArray,
     index: NDArray[np.int64],
-    frozen: NDArray[np.bool_],
-    wanted: FloatArray,
     state: FloatArray,
     seen: FloatArray,
     views: FloatArray,
+    costs: FloatArray,
+    flags: NDArray[np.bool_],
 ) -> None:
     """One step of N worlds: the joints follow, the errors are of where that is and of what was wanted before.
 
     Args:
         tables: The trials.
+        tolerances: ``(5,)`` by which errors are divided before they are squared and added.
         trial: ``(N,)`` which one each world is on.
+        shares: ``(N, 6)`` wanted joint velocities, as shares of the largest; clipped to -1 and 1.
         index: ``(N,)`` which step it is at, from 0; counted on.
-        frozen: ``(N,)`` worlds that stay as they are.
-        wanted: ``(N, 6)`` joint velocities.
         state: ``(N, 3, 6)`` as :mod:`surgbench.viewpoint.servo_steps` has it; moved on.
         seen: ``(N, 15)``, filled with what is seen at the next step.
         views: ``(N, 8)``, filled with errors and depths of this one.
+        costs: ``(N, 2)``, filled: the errors as one number, 0 where the feature was not measured, and how far beyond
+            all rules of place together, millimetres.
+        flags: ``(N, 3)``, filled: whether the feature was measured at this step, whether it is at the next one, and
+            whether the trial has ended. Worlds whose trial has ended stay as they are, with costs of 0.
     """
     pose, after, then = np.empty((4, 4)), np.empty((3, JOINTS)), np.empty(VIEWS)
     for n in range(len(trial)):
-        if frozen[n]:
+        costs[n, 0] = costs[n, 1] = 0.0
+        if flags[n, ENDED]:
+            flags[n, COUNTED] = False
             continue
         k = trial[n]
         limits, timing, now = tables.limits[k], tables.timing[k], state[n]
         sample = tables.first[k] + index[n]
+        flags[n, COUNTED] = tables.measured[sample] == 2
         for j in range(JOINTS):
-            if tables.measured[sample] == 2:
-                to = reachable(limits, timing, now, j, wanted[n, j])
+            if flags[n, COUNTED]:
+                to = reachable(limits, timing, now, j, clip(shares[n, j], -1.0, 1.0) * limits[FASTEST, j])
                 velocity = (to - now[SETPOINT, j]) / timing[DT_S]
             else:  # nobody is asked, and the arm comes to rest
                 velocity = slower(limits, j, now[VELOCITY, j], timing[DT_S])
                 to = now[SETPOINT, j] + (now[VELOCITY, j] + velocity) / 2 * timing[DT_S]
             follow(limits, timing, now, j, to, velocity, after)
         now[:] = after
-        view(tables, k, sample, now[2], pose, seen[n], views[n])
+        view(tables, k, sample, now[MEASURED], pose, seen[n], views[n])
         depths(tables, k, sample, now[SETPOINT], pose, views[n])
+        for error in range(ERRORS):
+            if flags[n, COUNTED]:
+                costs[n, 0] += (views[n, error] / tolerances[error]) ** 2
+        for depth in range(ERRORS, VIEWS):
+            costs[n, 1] += 1e3 * max(views[n, depth], 0.0)
         index[n] += 1
-        if index[n] < tables.length[k]:  # else it stays where it was
-            view(tables, k, sample + 1, now[2], pose, seen[n], then)
+        flags[n, ENDED] = index[n] >= tables.length[k]
+        if not flags[n, ENDED]:  # else the feature stays where it was
+            view(tables, k, sample + 1, now[MEASURED], pose, seen[n], then)
+            flags[n, SEEN_NOW] = tables.measured[sample + 1] == 2
 
 
 @compiled(makes_arrays=True)
@@ -229,6 +248,7 @@ def begin_worlds(
     state: FloatArray,
     seen: FloatArray,
     views: FloatArray,
+    flags: NDArray[np.bool_],
 ) -> None:
     """Put those worlds that are ``begun`` at the beginning of their trials; the rest as in :func:`step_worlds`."""
     pose = np.empty((4, 4))
@@ -237,7 +257,44 @@ def begin_worlds(
             k = trial[n]
             index[n] = 0
             for j in range(JOINTS):
-                state[n, 0, j] = state[n, 2, j] = tables.start[k, j]
-                state[n, 1, j] = 0.0
-            view(tables, k, tables.first[k], state[n, 2], pose, seen[n], views[n])
-            depths(tables, k, tables.first[k], state[n, 0], pose, views[n])
+                state[n, SETPOINT, j] = state[n, MEASURED, j] = tables.start[k, j]
+                state[n, VELOCITY, j] = 0.0
+            view(tables, k, tables.first[k], state[n, MEASURED], pose, seen[n], views[n])
+            depths(tables, k, tables.first[k], state[n, SETPOINT], pose, views[n])
+            flags[n, COUNTED] = flags[n, ENDED] = False
+            flags[n, SEEN_NOW] = tables.measured[tables.first[k]] == 2
+
+
+@compiled
+def observe_worlds(
+    state: FloatArray,
+    seen: FloatArray,
+    views: FloatArray,
+    flags: NDArray[np.bool_],
+    low: FloatArray,
+    high: FloatArray,
+    out: NDArray[np.float32],
+) -> None:
+    """All that is known at a step in one row for each world: joints, set points, velocities, what is seen, depths.
+
+    Args:
+        state: As in :func:`step_worlds`.
+        seen: Likewise.
+        views: Likewise.
+        flags: Likewise.
+        low: ``(37,)`` to which numbers are clipped.
+        high: ``(37,)``.
+        out: ``(N, 37)``, filled.
+    """
+    for n in range(len(out)):
+        for i in range(len(low)):
+            if i < 3 * JOINTS:
+                part = MEASURED if i < JOINTS else (SETPOINT if i < 2 * JOINTS else VELOCITY)
+                value = state[n, part, i % JOINTS]
+            elif i < 3 * JOINTS + SEEN:
+                value = seen[n, i - 3 * JOINTS]
+            elif i < 3 * JOINTS + SEEN + VIEWS - ERRORS:
+                value = views[n, ERRORS + i - 3 * JOINTS - SEEN]
+            else:
+                value = 1.0 if flags[n, SEEN_NOW] else 0.0
+            out[n, i] = clip(value, low[i], high[i])

@@ -16,11 +16,22 @@ from surgbench.errors import DatasetError
 from surgbench.geometry import FloatArray
 from surgbench.viewpoint.contract import ViewpointScene
 from surgbench.viewpoint.placement import UP
+from surgbench.viewpoint.registration import Method
 from surgbench.viewpoint.scores import COST_TOLERANCES
 from surgbench.viewpoint.servo import servo_limits, servo_timing
 from surgbench.viewpoint.simulator import make_scene
 from surgbench.viewpoint.trial import Trial
-from surgbench.viewpoint.world_steps import NO_GO_M, SEEN, VIEWS, Tables, begin_worlds, step_worlds
+from surgbench.viewpoint.world_steps import (
+    COUNTED,
+    ENDED,
+    SEEN,
+    SEEN_NOW,
+    VIEWS,
+    Tables,
+    begin_worlds,
+    observe_worlds,
+    step_worlds,
+)
 
 # As many as a box has.
 FACES = 6
@@ -41,26 +52,26 @@ class Worlds:
     Attributes:
         tables: What the trials are.
         trial: ``(N,)`` which one each world is on.
-        index: ``(N,)`` which step it is at; its trial's length where it has ended, or not begun.
+        index: ``(N,)`` which step it is at.
         state: ``(N, 3, 6)`` set points, their velocities, joints.
         seen: ``(N, 15)`` feature and normal in the camera's frame, the world's up in it, feature and normal in the
             frame of the arm's base; metres.
         views: ``(N, 8)`` errors and depths after the last step, by the names of :data:`ERRORS` and :data:`DEPTHS`.
+        costs: ``(N, 2)`` of the last step: ``view_cost`` (``surgbench.viewpoint.scores.COST_TOLERANCES``), 0 where the
+            feature was not measured; and how far the commanded camera is beyond all rules of place together, mm.
     """
 
     def __init__(
-        self, trials: Sequence[Trial], count: int, *, registration: str = "translation", steps: int | None = None
+        self, trials: Sequence[Trial], count: int, *, registration: Method = "translation", steps: int | None = None
     ) -> None:
         if not trials:
             raise DatasetError("an environment needs at least one trial")
-        scenes = [make_scene(trial, registration=registration) for trial in trials]  # type: ignore[arg-type]
-        self.tables = _tables(trials, scenes, steps)
-        self.trial = np.zeros(count, dtype=np.int64)
-        self.index = np.full(count, self.tables.length[0])
+        self.tables = _tables(trials, [make_scene(trial, registration=registration) for trial in trials], steps)
+        self.trial, self.index = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.int64)
         self.state = np.zeros((count, 3, 6))
-        self.seen, self.views = np.zeros((count, SEEN)), np.zeros((count, VIEWS))
-        self._fastest = self.tables.limits[:, 2]
-        self._nobody = np.zeros(count, dtype=bool)
+        self.seen, self.views, self.costs = np.zeros((count, SEEN)), np.zeros((count, VIEWS)), np.zeros((count, 2))
+        self._flags = np.ones((count, 3), dtype=bool)
+        self._tolerances = np.array([COST_TOLERANCES.get(name, np.inf) for name in ERRORS])
 
     def begin(self, begun: NDArray[np.bool_], trial: NDArray[np.int64]) -> None:
         """Put worlds at the beginning of trials.
@@ -70,40 +81,42 @@ class Worlds:
             trial: ``(N,)`` on which trials.
         """
         self.trial[begun] = trial[begun]
-        begin_worlds(self.tables, self.trial, begun, self.index, self.state, self.seen, self.views)
+        begin_worlds(self.tables, self.trial, begun, self.index, self.state, self.seen, self.views, self._flags)
 
-    def step(self, shares: FloatArray, frozen: NDArray[np.bool_] | None = None) -> None:
-        """One step.
+    def step(self, shares: FloatArray) -> None:
+        """One step; worlds whose trials have ended stay as they are.
 
         Args:
-            shares: ``(N, 6)`` wanted joint velocities, as shares of the largest, -1 to 1.
-            frozen: ``(N,)`` worlds that stay as they are; those that have ended must be among them.
+            shares: ``(N, 6)`` wanted joint velocities, as shares of the largest, clipped to -1 and 1; NaN counts as 0.
         """
-        wanted = np.clip(shares, -1.0, 1.0) * self._fastest[self.trial]
         step_worlds(
-            self.tables, self.trial, self.index, self._nobody if frozen is None else frozen, wanted, self.state,
-            self.seen, self.views,
+            self.tables, self._tolerances, self.trial, shares, self.index, self.state, self.seen, self.views,
+            self.costs, self._flags,
         )  # fmt: skip
+
+    def observe(self, low: FloatArray, high: FloatArray) -> NDArray[np.float32]:
+        """``(N, 37)`` all that is known at this step, within limits ``(37,)``.
+
+        Joints, set points and their velocities, :attr:`seen`, the depths, and whether the feature is measured.
+        """
+        out = np.empty((len(self.index), len(low)), dtype=np.float32)
+        observe_worlds(self.state, self.seen, self.views, self._flags, low, high, out)
+        return out
 
     @property
     def ended(self) -> NDArray[np.bool_]:
-        """``(N,)`` which worlds are at their trials' ends."""
-        return np.asarray(self.index >= self.tables.length[self.trial])
+        """``(N,)`` which worlds are at their trials' ends, or on none yet."""
+        return self._flags[:, ENDED].copy()
 
-    def measured(self, ahead: int = 0) -> NDArray[np.bool_]:
-        """``(N,)`` whether the feature is measured now, or was ``-ahead`` steps before."""
-        last = self.tables.length[self.trial] - 1
-        sample = self.tables.first[self.trial] + np.clip(self.index + ahead, 0, last)
-        return np.asarray(self.tables.measured[sample] == 2)
+    @property
+    def measured(self) -> NDArray[np.bool_]:
+        """``(N,)`` where the feature is measured at this step."""
+        return self._flags[:, SEEN_NOW].copy()
 
-    def view_cost(self) -> FloatArray:
-        """``(N,)`` the errors after the last step as one number (``surgbench.viewpoint.scores.COST_TOLERANCES``)."""
-        terms = [(self.views[:, ERRORS.index(name)] / tolerance) ** 2 for name, tolerance in COST_TOLERANCES.items()]
-        return np.asarray(np.sum(terms, axis=0))
-
-    def broken_mm(self) -> FloatArray:
-        """``(N,)`` how far the commanded camera is beyond all rules of place together, millimetres."""
-        return np.asarray(1e3 * np.maximum(self.views[:, NO_GO_M:], 0.0).sum(axis=1))
+    @property
+    def counted(self) -> NDArray[np.bool_]:
+        """``(N,)`` where it was measured at the last one, so that the errors count."""
+        return self._flags[:, COUNTED].copy()
 
 
 def _tables(trials: Sequence[Trial], scenes: Sequence[ViewpointScene], steps: int | None) -> Tables:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import sys
-from pathlib import Path
+from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-from commandline import surgbench
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -110,7 +110,7 @@ def test_the_errors_are_those_of_a_run_with_the_same_set_points() -> None:
         worlds.step(0.05 * shares[None])
         states.append(worlds.state[0, 0].copy())
         views.append(worlds.views[0].copy())
-        costs.append(worlds.view_cost()[0])
+        costs.append(worlds.costs[0, 0])
     course = Simulation(Played(np.array(states)), trial, scene, rng).run()
     np.testing.assert_array_equal(course.setpoints, states)
     np.testing.assert_array_equal(course.joints[-1], worlds.state[0, 2])
@@ -137,12 +137,12 @@ def test_where_the_feature_is_not_measured_the_arm_comes_to_rest_and_the_last_pl
     worlds = one_world(trial)
     place = []
     for index in range(119):
-        assert worlds.measured()[0] == trial.measured[index]
+        assert worlds.measured[0] == trial.measured[index]
         place.append(worlds.seen[0, 9:12].copy())
         assert np.isfinite(worlds.seen).all()
         if index < 5:  # it has never been measured: straight ahead
             np.testing.assert_allclose(worlds.seen[0, :6], [0, 0, trial.distance_m, 0, 0, -1], atol=1e-12)
-            assert worlds.broken_mm()[0] == 0.0
+            assert (worlds.costs[0] == 0.0).all()
         worlds.step(np.full((1, 6), 0.05))
         if index < 5 or 80 < index < 100:
             np.testing.assert_array_equal(worlds.state[0, 1], 0.0)
@@ -246,20 +246,23 @@ def test_many_worlds_are_as_many_single_ones(gym: Any) -> None:
     many.close()
 
 
-@pytest.mark.slow
 @pytest.mark.extras
-def test_trials_come_from_a_dataset_and_one_can_be_asked_for(gym: Any, tmp_path: Path) -> None:
-    from surgbench.viewpoint.environment import ViewpointEnv
+def test_trials_come_from_a_dataset_and_one_can_be_asked_for(gym: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    from surgbench.viewpoint import environment
 
-    surgbench(
-        "generate", "wire-chaser-mini", "--sequences", 2, "--frames", 100, "--jobs", 1, "--out", tmp_path / "chaser"
-    )
-    env = ViewpointEnv(tmp_path / "chaser", registration="rigid")
+    trials = {name: replace(trial, id=name) for name, trial in zip(("000", "001"), TRIALS, strict=True)}
+    units = [SimpleNamespace(sequence=name) for name in trials]
+    opened = SimpleNamespace(task="viewpoint", units=lambda: units, trial=trials.__getitem__)
+    monkeypatch.setattr(environment, "open_dataset", lambda path: opened)
+    env = environment.ViewpointEnv("data/chaser", registration="rigid")
     assert env.reset(options={"trial": "001"})[1] == {"trial": "001"}
     with pytest.raises(DatasetError, match="unknown trial '01'; did you mean '001'"):
         env.reset(options={"trial": "01"})
     with pytest.raises(DatasetError, match="either a dataset's folder or trials"):
-        ViewpointEnv()
+        environment.ViewpointEnv()
+    del opened.trial
+    with pytest.raises(DatasetError, match="expected trials of a camera"):
+        environment.ViewpointEnv("data/mini")
 
 
 def test_without_gymnasium_one_line_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
