@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -22,6 +24,7 @@ from surgbench.viewpoint.simulator import SERVO_LAG_S, Simulation, make_scene
 from surgbench.viewpoint.trial import Trial
 from surgbench.viewpoint.worlds import DEPTHS, ERRORS, Worlds
 
+DOCUMENT = Path(__file__).parents[2] / "docs" / "viewpoint-bridge.md"
 ALL = np.ones(1, dtype=bool)
 FIRST = np.zeros(1, dtype=np.int64)
 
@@ -263,6 +266,23 @@ def test_trials_come_from_a_dataset_and_one_can_be_asked_for(gym: Any, monkeypat
     del opened.trial
     with pytest.raises(DatasetError, match="expected trials of a camera"):
         environment.ViewpointEnv("data/mini")
+
+
+@pytest.mark.extras
+def test_the_document_s_examples_run(gym: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    from surgbench.viewpoint import environment
+
+    units = [SimpleNamespace(sequence=0), SimpleNamespace(sequence=1)]
+    opened = SimpleNamespace(task="viewpoint", units=lambda: units, trial=TRIALS.__getitem__)
+    monkeypatch.setattr(environment, "open_dataset", lambda path: opened)
+    blocks = re.findall(r"^```py\n(.*?)^```$", DOCUMENT.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+    names: dict[str, Any] = {}
+    for block in blocks:
+        exec(compile(block, str(DOCUMENT), "exec"), names)
+    assert names["truncated"]
+    assert names["vector"].reset(seed=0)[0].shape == (64, 37)
+    for part in environment.OBSERVED:
+        assert f"`{part}`" in DOCUMENT.read_text(encoding="utf-8")
 
 
 def test_without_gymnasium_one_line_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
