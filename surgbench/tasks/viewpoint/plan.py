@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from surgbench.errors import ConfigError
+from surgbench.registry import find
 from surgbench.suite.asked import Conditions
 from surgbench.suite.plug import plug
 from surgbench.suite.settings import Settings
@@ -22,13 +23,20 @@ class ViewpointSettings(Settings):
         registration: How the touched points correct the camera arm's base.
         missing_face: The no-go zone as in the published code.
         photographs_hz: How many stereo pictures a second the feature is looked for in.
+        foresees: The controller is told the whole trial beforehand, which no real one can be.
     """
 
     registration: Registration
     missing_face: bool
     photographs_hz: float = 0.0
+    foresees: bool = False
 
     task: ClassVar[str] = "viewpoint"
+
+    @property
+    def floor(self) -> bool:
+        """Whether the controller knew what was to come."""
+        return self.foresees
 
     def spec(self) -> dict[str, Any]:
         """Adds what the controller is told of the world."""
@@ -37,7 +45,8 @@ class ViewpointSettings(Settings):
 
     def words(self) -> list[str]:
         """Adds what the controller is told of the world."""
-        words = super().words()
+        words = ["FLOOR, NOT FOR RANKING: told the whole trial beforehand"] if self.foresees else []
+        words += super().words()
         if self.registration != "translation":
             words.append(f"registration {self.registration}")
         if self.missing_face:
@@ -66,4 +75,5 @@ def complete(row: ViewpointRow, conditions: Conditions, dataset: ViewpointDatase
         registration=row.registration,
         missing_face=row.missing_face,
         photographs_hz=row.photographs_hz,
+        foresees=bool(getattr(find("tracker", tracker.reference).cls, "foresees", False)),
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from surgbench.geometry import FloatArray, is_rigid
+from surgbench.instrument.arm import Manipulator
 from surgbench.viewpoint.bridge.messages import (
     ArmEntry,
     Command,
@@ -15,7 +16,7 @@ from surgbench.viewpoint.bridge.messages import (
     WorkspaceEntry,
     rows,
 )
-from surgbench.viewpoint.camera_arm import CameraArm
+from surgbench.viewpoint.camera_arm import PSM_CLASSIC, CameraArm
 from surgbench.viewpoint.contract import ViewCommand, ViewpointObservation, ViewpointScene
 from surgbench.viewpoint.receiver import Received
 from surgbench.viewpoint.workspace import NoGoZone, Workspace, WorkspaceError
@@ -66,14 +67,19 @@ def understand_arm(entry: ArmEntry | None) -> CameraArm:
         MessageError: A lower limit is above the upper one.
     """
     if entry is None:
-        return CameraArm()
+        return PSM_CLASSIC
     if any(lower > upper for lower, upper in zip(entry.lower, entry.upper, strict=True)):
         raise MessageError("a lower joint limit of the arm is above the upper one")
-    arm = CameraArm(velocity=entry.velocity, acceleration=entry.acceleration, camera_m=entry.camera_m)
-    # Its cached properties are all that kinematics and limits ask for, whatever else an arm is described by.
-    packed = np.array([entry.insertion_offset_m, entry.roll_offset_m, entry.wrist_length_m])
-    vars(arm).update(packed=packed, lower=np.array(entry.lower), upper=np.array(entry.upper))
-    return arm
+    return CameraArm(
+        manipulator=Manipulator(entry.roll_offset_m, entry.insertion_offset_m, entry.lower[:4], entry.upper[:4]),
+        wrist_length_m=entry.wrist_length_m,
+        wrist_lower_rad=entry.lower[4:],
+        wrist_upper_rad=entry.upper[4:],
+        velocity=entry.velocity,
+        acceleration=entry.acceleration,
+        camera_m=entry.camera_m,
+        name="the client's",
+    )
 
 
 def understand_scene(message: SceneMessage) -> tuple[ViewpointScene, FloatArray]:
