@@ -24,10 +24,12 @@ from surgbench.registry import create, find
 from surgbench.report.rows import read_rows
 from surgbench.tasks.viewpoint.conformance.worlds import circling
 from surgbench.tasks.viewpoint.dataset import ViewpointDataset
+from surgbench.viewpoint.arm_files import load_camera_arm
 from surgbench.viewpoint.bridge.hub import Hub, listen
+from surgbench.viewpoint.bridge.lines import BridgeError
 from surgbench.viewpoint.bridge.messages import Bye, Command, Message, MessageError, ObservationMessage, decode
 from surgbench.viewpoint.bridge.service import Service, serve
-from surgbench.viewpoint.bridge.translation import tell_observation, tell_scene
+from surgbench.viewpoint.bridge.translation import tell_arm, tell_observation, tell_scene, understand_arm
 from surgbench.viewpoint.contract import ViewpointObservation
 from surgbench.viewpoint.placement import naive_pose
 from surgbench.viewpoint.scores import course_errors
@@ -237,6 +239,30 @@ def test_a_client_that_is_never_ready_is_held_from_the_first_step() -> None:
     np.testing.assert_array_equal(course.setpoints, course.setpoints[[0]].repeat(STEPS + 1, axis=0))
 
 
+def test_a_client_that_has_left_may_come_back_for_the_next_trial_and_is_waited_for_no_longer_than_told() -> None:
+    trial, gone = circling(STEPS), []
+    with listen("127.0.0.1", 0, None) as listener:
+        hub = Hub(listener, AMPLE_S, lambda line: None, lambda: gone.append(True))
+
+        def run() -> Any:
+            tracker = create(find("tracker", "remote"), {"patience_s": AMPLE_S})
+            Simulation(tracker, trial, make_scene(trial), np.random.default_rng(0)).run()
+            tracker.close()
+            return tracker.held
+
+        with hub.handing_out():
+            leave = after(20, lambda wire, message: wire.socket.shutdown(socket.SHUT_RDWR))
+            with client(listener.getsockname(), leave):
+                assert "the client closed the connection" in run()[1]
+            with client(listener.getsockname(), straight):
+                assert run() is None
+                hub.bye()
+            hub._patience_s = IMPATIENT_S
+            with pytest.raises(BridgeError, match=r"no client came to 127.0.0.1:\d+ within 0.2 s"):
+                run()
+    assert gone == [True]
+
+
 def test_who_does_not_greet_is_told_so_and_the_next_one_is_served() -> None:
     with listen("127.0.0.1", 0, None) as listener:
         said: list[str] = []
@@ -332,6 +358,17 @@ def test_a_scene_that_cannot_be_is_told_in_one_line(change: dict[str, Any], word
     missing = service(tell_observation(scene_of()[1], 5))
     assert missing is not None
     assert json.loads(missing.encode()) == {"type": "error", "id": 5, "error": "there is no scene yet"}
+
+
+@pytest.mark.parametrize("name", ["psm_classic", "ecm", "ecm_30_up"])
+def test_an_arm_comes_out_as_it_went_in(name: str) -> None:
+    """One with locked joints, too; where none is told of it is the simulator's."""
+    arm = load_camera_arm(name).arm()
+    back = understand_arm(tell_arm(arm))
+    for one, other in ((back.packed, arm.packed), (back.lower, arm.lower), (back.upper, arm.upper)):
+        np.testing.assert_array_equal(one, other)
+    assert (back.velocity, back.acceleration, back.camera_m) == (arm.velocity, arm.acceleration, arm.camera_m)
+    assert understand_arm(None) == load_camera_arm("psm_classic").arm()
 
 
 def test_our_controller_answers_over_a_socket_whatever_else_is_said(tmp_path: Path) -> None:
@@ -513,6 +550,7 @@ def test_our_controller_answers_at_the_command(tmp_path: Path, capsys: pytest.Ca
         (["--tracker", "gaez", "--port", 0], "did you mean 'gaze'"),
         (["--tracker", "cmaes", "--port", 0], "commands no camera"),
         (["--tracker", "remote", "--port", 0], "commands no camera"),
+        (["--tracker", "foresight", "--port", 0], "must be told the future"),
         (["--tracker", "gaze", "--port", 0, "--set", "gaze.patience=1"], "did you mean"),
         (["--tracker", "gaze", "--port", 0, "--registration", "rigid"], "'registration' takes no part"),
         (["--dataset", "nowhere", "--port", 0], "nowhere"),

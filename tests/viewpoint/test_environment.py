@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from surgbench.errors import DatasetError
 from surgbench.geometry import FloatArray, inverse_transform
 from surgbench.tasks.viewpoint.conformance.worlds import DT_S, circling, feature_poses, make_trial, random_trial
+from surgbench.viewpoint.arm_files import load_camera_arm
 from surgbench.viewpoint.contract import ViewCommand, ViewpointObservation
 from surgbench.viewpoint.scores import course_errors, depths
 from surgbench.viewpoint.servo import JointServo
@@ -96,6 +97,16 @@ def test_a_velocity_within_reach_is_kept_exactly_and_no_number_is_rest() -> None
         worlds.step(np.full((1, 6), np.nan))
     np.testing.assert_allclose(worlds.state[0, 1], 0.0, atol=1e-12)
     assert np.isfinite(worlds.seen).all()
+
+
+def test_joints_that_are_locked_stay() -> None:
+    """An endoscope's arm, whose wrist is straight."""
+    arm = load_camera_arm("ecm").arm()
+    worlds = one_world(replace(circling(50), arm=arm, start=arm.middle))
+    for shares in wild(np.random.default_rng(0), 50):
+        worlds.step(shares[None])
+    moved = worlds.state[0, 0] != arm.middle
+    np.testing.assert_array_equal(moved, ~arm.locked)
 
 
 def test_the_errors_are_those_of_a_run_with_the_same_set_points() -> None:
