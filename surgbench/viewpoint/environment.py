@@ -35,8 +35,8 @@ except ModuleNotFoundError as error:
     raise ModuleNotFoundError(not_installed(["gymnasium"]), name=error.name) from None
 
 ID = "surgbench/Viewpoint-v0"
-# A millimetre beyond a rule costs as much as a degree off the view.
-BROKEN_COST_PER_MM = 1.0
+# A millimetre or a degree beyond a rule costs as much as a degree off the view.
+BROKEN_COST = 1.0
 # Where an observation is cut off, metres.
 FARTHEST_M = 10.0
 # The parts of an observation and how many numbers each has.
@@ -49,14 +49,12 @@ OBSERVED = {
     "up_camera": 3,
     "feature_base_m": 3,
     "normal_base": 3,
-    "no_go_depth_m": 1,
-    "floor_depth_m": 1,
-    "proximity_m": 1,
+    **dict.fromkeys(DEPTHS, 1),
     "measured": 1,
 }
 # What `info` tells of a step.
 TOLD = (*ERRORS, *DEPTHS)
-_REWARDS = np.array([-1.0, -BROKEN_COST_PER_MM])
+_REWARDS = np.array([-1.0, -BROKEN_COST])
 _MARGIN = 1e-3
 
 
@@ -99,8 +97,9 @@ class _Episodes:
         limits = self.worlds.tables.limits
         lower, upper, fastest = limits[:, 0].min(axis=0), limits[:, 1].max(axis=0), limits[:, 2].max(axis=0)
         far, unit = np.full(3, FARTHEST_M), np.ones(3)
-        high = np.concatenate([upper, upper, fastest, far, unit, unit, far, unit, far, [1.0]])
-        low = np.concatenate([lower, lower, -fastest, -far, -unit, -unit, -far, -unit, -far, [0.0]])
+        beyond = np.array([1e3 * FARTHEST_M, 1e3 * FARTHEST_M, 90.0, 1e3 * FARTHEST_M])
+        high = np.concatenate([upper, upper, fastest, far, unit, unit, far, unit, beyond, [1.0]])
+        low = np.concatenate([lower, lower, -fastest, -far, -unit, -unit, -far, -unit, -beyond, [0.0]])
         self._low, self._high = low, high
         self.observation_space = gymnasium.spaces.Box(
             (low - _MARGIN).astype(np.float32), (high + _MARGIN).astype(np.float32), dtype=np.float32
@@ -117,7 +116,7 @@ class _Episodes:
         self.worlds.begin(begun, chosen)
 
     def observe(self) -> NDArray[np.float32]:
-        """``(N, 37)`` observations."""
+        """``(N, 38)`` observations."""
         return self.worlds.observe(self._low, self._high)
 
     def rewards(self) -> FloatArray:
@@ -136,15 +135,16 @@ class ViewpointEnv(gymnasium.Env):
     from where it can still be stopped before its limit. NaN counts as 0. Where the feature is not measured the arm
     comes to rest, whatever the action.
 
-    *Observation*, ``(37,)`` float32, in the order of :data:`OBSERVED` (:func:`observation_slices`), rad and m: joints
+    *Observation*, ``(38,)`` float32, in the order of :data:`OBSERVED` (:func:`observation_slices`), rad and m: joints
     as measured, set points and their velocities ``(6,)`` each; the feature's place, its normal and the world's up
-    ``(3,)`` each in the camera's frame; place and normal ``(3,)`` each in the frame of the arm's base; how deep the
-    commanded camera is in the no-go zone, below the floor, and nearer to the feature than allowed (negative where it is
-    not); and 1 where the feature is measured, 0 where place and normal are the last ones that were.
+    ``(3,)`` each in the camera's frame; place and normal ``(3,)`` each in the frame of the arm's base; how far the
+    camera is in the no-go zone, below the floor (mm), on the wrong side (degrees) and nearer to the feature than
+    allowed (mm), by set point or joints, the worse of the two, and negative where nothing is broken; and 1 where the
+    feature is measured, 0 where place and normal are the last ones that were.
 
     *Reward*: minus ``view_cost`` (:data:`surgbench.viewpoint.scores.COST_TOLERANCES`), what was wanted at this step
-    against the camera after it, and minus 1 for each millimetre that the commanded camera is beyond the no-go zone, the
-    floor or the smallest distance. Where the feature was not measured, the latter alone.
+    against the camera after it, and minus 1 for each millimetre or degree that the camera is beyond a rule after it.
+    Where the feature was not measured, the latter alone.
 
     *Info*: ``trial``; after a step ``vva_deg``, ``fd_mm``, ``pf_deg``, ``an_deg``, ``pn_full_mm`` where the feature was
     measured, and the depths.

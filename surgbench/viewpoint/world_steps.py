@@ -34,8 +34,8 @@ from surgbench.viewpoint.servo_steps import (
 # Kept from a limit, so that rounding takes no set point beyond it: picometres, and as little of a turn.
 _ROOM = 1e-12
 # What `views` has in a row.
-VVA_DEG, FD_MM, PF_DEG, AN_DEG, PN_FULL_MM, NO_GO_M, FLOOR_M, PROXIMITY_M = range(8)
-ERRORS, VIEWS = 5, 8
+VVA_DEG, FD_MM, PF_DEG, AN_DEG, PN_FULL_MM, NO_GO_MM, FLOOR_MM, ORIENTATION_DEG, PROXIMITY_MM = range(9)
+ERRORS, VIEWS = 5, 9
 # What `flags` has in a row.
 COUNTED, SEEN_NOW, ENDED = range(3)
 # What `seen` has in a row: feature and normal in the camera's frame, the world's up in it, feature and normal in the
@@ -54,6 +54,7 @@ class Tables(NamedTuple):
         up: ``(K, 3)`` the world's up in the base's frame.
         faces: ``(K, 6, 4)`` of the no-go zone, inward unit normals and offsets, in the base's frame.
         floor: ``(K, 4)`` of the floor, likewise.
+        side: ``(K, 3)`` along which the camera's y axis must not point, in the base's frame.
         distances: ``(K, 2)`` d_t, and the smallest one allowed.
         first: ``(K,)`` where a trial's samples begin.
         length: ``(K,)`` how many there are.
@@ -69,6 +70,7 @@ class Tables(NamedTuple):
     up: FloatArray
     faces: FloatArray
     floor: FloatArray
+    side: FloatArray
     distances: FloatArray
     first: NDArray[np.int64]
     length: NDArray[np.int64]
@@ -114,7 +116,7 @@ def view(
         joints: ``(6,)`` measured.
         pose: ``(4, 4)``, overwritten.
         seen: ``(15,)``, filled.
-        views: ``(8,)``, of which the five errors are filled.
+        views: ``(9,)``, of which the five errors are filled.
     """
     forward(tables.arm[k], joints, pose)
     d_t = tables.distances[k, 0]
@@ -148,33 +150,41 @@ def view(
 
 
 @compiled(makes_arrays=True)
-def depths(tables: Tables, k: int, sample: int, setpoint: FloatArray, pose: FloatArray, views: FloatArray) -> None:
-    """How far a commanded camera is beyond each rule of place (:func:`surgbench.viewpoint.scores.depths`).
+def depths(tables: Tables, k: int, sample: int, state: FloatArray, pose: FloatArray, views: FloatArray) -> None:
+    """How far the camera is beyond each rule, by its set point or its joints, the worse of the two.
 
     Args:
         tables: The trials.
         k: Which trial.
-        sample: Which sample of all.
-        setpoint: ``(6,)``.
+        sample: Which sample of all; the feature is where that says.
+        state: ``(3, 6)`` as :mod:`surgbench.viewpoint.servo_steps` has it.
         pose: ``(4, 4)``, overwritten.
-        views: ``(8,)``, of which the last three are filled: metres, negative where nothing is broken.
+        views: ``(9,)``, of which the depths are filled: millimetres and degrees, negative where nothing is broken.
     """
-    forward(tables.arm[k], setpoint, pose)
-    for i in range(3):
-        pose[i, 3] += tables.arm[k, 3] * pose[i, 2]
-    inside = math.inf
-    for face in range(tables.faces.shape[1]):
-        depth = -tables.faces[k, face, 3]
+    for rule in range(ERRORS, VIEWS):
+        views[rule] = -math.inf
+    for part in (SETPOINT, MEASURED):
+        forward(tables.arm[k], state[part], pose)
         for i in range(3):
-            depth += tables.faces[k, face, i] * pose[i, 3]
-        inside = min(inside, depth)
-    above, square = -tables.floor[k, 3], 0.0
-    for i in range(3):
-        above += tables.floor[k, i] * pose[i, 3]
-        square += (tables.place[sample, i] - pose[i, 3]) ** 2
-    views[NO_GO_M], views[FLOOR_M] = inside, -above
-    near = tables.distances[k, 1] - math.sqrt(square)
-    views[PROXIMITY_M] = near if tables.measured[sample] > 0 else -tables.distances[k, 1]
+            pose[i, 3] += tables.arm[k, 3] * pose[i, 2]
+        inside = math.inf
+        for face in range(tables.faces.shape[1]):
+            depth = -tables.faces[k, face, 3]
+            for i in range(3):
+                depth += tables.faces[k, face, i] * pose[i, 3]
+            inside = min(inside, depth)
+        above, square, across = -tables.floor[k, 3], 0.0, 0.0
+        for i in range(3):
+            above += tables.floor[k, i] * pose[i, 3]
+            square += (tables.place[sample, i] - pose[i, 3]) ** 2
+            across += tables.side[k, i] * pose[i, 1]
+        near = tables.distances[k, 1] - math.sqrt(square)
+        views[NO_GO_MM] = max(views[NO_GO_MM], 1e3 * inside)
+        views[FLOOR_MM] = max(views[FLOOR_MM], -1e3 * above)
+        views[ORIENTATION_DEG] = max(views[ORIENTATION_DEG], math.degrees(math.asin(clip(across, -1.0, 1.0))))
+        views[PROXIMITY_MM] = max(views[PROXIMITY_MM], 1e3 * near)
+    if tables.measured[sample] == 0:  # it has not been seen yet
+        views[PROXIMITY_MM] = -1e3 * tables.distances[k, 1]
 
 
 @compiled(makes_arrays=True)
@@ -200,9 +210,9 @@ def step_worlds(
         index: ``(N,)`` which step it is at, from 0; counted on.
         state: ``(N, 3, 6)`` as :mod:`surgbench.viewpoint.servo_steps` has it; moved on.
         seen: ``(N, 15)``, filled with what is seen at the next step.
-        views: ``(N, 8)``, filled with errors and depths of this one.
+        views: ``(N, 9)``, filled with errors and depths after this one.
         costs: ``(N, 2)``, filled: the errors as one number, 0 where the feature was not measured, and how far beyond
-            all rules of place together, millimetres.
+            all rules together, millimetres and degrees.
         flags: ``(N, 3)``, filled: whether the feature was measured at this step, whether it is at the next one, and
             whether the trial has ended. Worlds whose trial has ended stay as they are, with costs of 0.
     """
@@ -226,17 +236,19 @@ def step_worlds(
             follow(limits, timing, now, j, to, velocity, after)
         now[:] = after
         view(tables, k, sample, now[MEASURED], pose, seen[n], views[n])
-        depths(tables, k, sample, now[SETPOINT], pose, views[n])
-        for error in range(ERRORS):
-            if flags[n, COUNTED]:
-                costs[n, 0] += (views[n, error] / tolerances[error]) ** 2
-        for depth in range(ERRORS, VIEWS):
-            costs[n, 1] += 1e3 * max(views[n, depth], 0.0)
         index[n] += 1
         flags[n, ENDED] = index[n] >= tables.length[k]
         if not flags[n, ENDED]:  # else the feature stays where it was
-            view(tables, k, sample + 1, now[MEASURED], pose, seen[n], then)
-            flags[n, SEEN_NOW] = tables.measured[sample + 1] == 2
+            sample += 1
+            view(tables, k, sample, now[MEASURED], pose, seen[n], then)
+            flags[n, SEEN_NOW] = tables.measured[sample] == 2
+        depths(tables, k, sample, now, pose, views[n])
+        for error in range(ERRORS):
+            if flags[n, COUNTED]:
+                costs[n, 0] += (views[n, error] / tolerances[error]) ** 2
+        for rule in range(ERRORS, VIEWS):
+            if rule != PROXIMITY_MM or flags[n, SEEN_NOW]:
+                costs[n, 1] += max(views[n, rule], 0.0)
 
 
 @compiled(makes_arrays=True)
@@ -260,7 +272,7 @@ def begin_worlds(
                 state[n, SETPOINT, j] = state[n, MEASURED, j] = tables.start[k, j]
                 state[n, VELOCITY, j] = 0.0
             view(tables, k, tables.first[k], state[n, MEASURED], pose, seen[n], views[n])
-            depths(tables, k, tables.first[k], state[n, SETPOINT], pose, views[n])
+            depths(tables, k, tables.first[k], state[n], pose, views[n])
             flags[n, COUNTED] = flags[n, ENDED] = False
             flags[n, SEEN_NOW] = tables.measured[tables.first[k]] == 2
 
@@ -282,9 +294,9 @@ def observe_worlds(
         seen: Likewise.
         views: Likewise.
         flags: Likewise.
-        low: ``(37,)`` to which numbers are clipped.
-        high: ``(37,)``.
-        out: ``(N, 37)``, filled.
+        low: ``(38,)`` to which numbers are clipped.
+        high: ``(38,)``.
+        out: ``(N, 38)``, filled.
     """
     for n in range(len(out)):
         for i in range(len(low)):

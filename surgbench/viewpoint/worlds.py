@@ -37,7 +37,7 @@ from surgbench.viewpoint.world_steps import (
 FACES = 6
 # By their place in a row of `views`.
 ERRORS = ("vva_deg", "fd_mm", "pf_deg", "an_deg", "pn_full_mm")
-DEPTHS = ("no_go_depth_m", "floor_depth_m", "proximity_m")
+DEPTHS = ("no_go_mm", "floor_mm", "orientation_deg", "proximity_mm")
 
 
 class Worlds:
@@ -56,9 +56,9 @@ class Worlds:
         state: ``(N, 3, 6)`` set points, their velocities, joints.
         seen: ``(N, 15)`` feature and normal in the camera's frame, the world's up in it, feature and normal in the
             frame of the arm's base; metres.
-        views: ``(N, 8)`` errors and depths after the last step, by the names of :data:`ERRORS` and :data:`DEPTHS`.
+        views: ``(N, 9)`` errors and depths after the last step, by the names of :data:`ERRORS` and :data:`DEPTHS`.
         costs: ``(N, 2)`` of the last step: ``view_cost`` (``surgbench.viewpoint.scores.COST_TOLERANCES``), 0 where the
-            feature was not measured; and how far the commanded camera is beyond all rules of place together, mm.
+            feature was not measured; and how far the camera is beyond all rules together, mm and degrees.
     """
 
     def __init__(
@@ -95,7 +95,7 @@ class Worlds:
         )  # fmt: skip
 
     def observe(self, low: FloatArray, high: FloatArray) -> NDArray[np.float32]:
-        """``(N, 37)`` all that is known at this step, within limits ``(37,)``.
+        """``(N, 38)`` all that is known at this step, within limits ``(38,)``.
 
         Joints, set points and their velocities, :attr:`seen`, the depths, and whether the feature is measured.
         """
@@ -133,6 +133,12 @@ def _tables(trials: Sequence[Trial], scenes: Sequence[ViewpointScene], steps: in
         up=np.array([UP @ rotation for rotation in rotations]),
         faces=np.array([one[np.minimum(np.arange(FACES), len(one) - 1)] for one in faces]),
         floor=np.array([_in_base(scene.workspace.floor[None], scene)[0] for scene in scenes]),
+        side=np.array(
+            [
+                np.array(scene.workspace.preferred_side) @ rotation
+                for scene, rotation in zip(scenes, rotations, strict=True)
+            ]
+        ),
         distances=np.array([[scene.distance_m, scene.workspace.proximity_m] for scene in scenes]),
         first=np.cumsum(lengths) - lengths,
         length=lengths,

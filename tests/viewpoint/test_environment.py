@@ -18,10 +18,10 @@ from surgbench.errors import DatasetError
 from surgbench.geometry import FloatArray, inverse_transform
 from surgbench.tasks.viewpoint.conformance.worlds import DT_S, circling, feature_poses, make_trial, random_trial
 from surgbench.viewpoint.arm_files import load_camera_arm
-from surgbench.viewpoint.contract import ViewCommand, ViewpointObservation
-from surgbench.viewpoint.scores import course_errors, depths
+from surgbench.viewpoint.contract import ViewCommand, ViewpointObservation, ViewpointScene
+from surgbench.viewpoint.scores import course_errors
 from surgbench.viewpoint.servo import JointServo
-from surgbench.viewpoint.simulator import SERVO_LAG_S, Simulation, make_scene
+from surgbench.viewpoint.simulator import SERVO_LAG_S, Course, Simulation, make_scene
 from surgbench.viewpoint.trial import Trial
 from surgbench.viewpoint.worlds import DEPTHS, ERRORS, Worlds
 
@@ -51,6 +51,21 @@ class Played:
 def wild(rng: np.random.Generator, steps: int) -> FloatArray:
     """Shares of the largest velocities that stay for a while, many beyond what a joint can do."""
     return np.repeat(rng.uniform(-1.5, 1.5, (steps // 20 + 1, 6)), 20, axis=0)[:steps]
+
+
+def beyond(course: Course, trial: Trial, scene: ViewpointScene) -> dict[str, FloatArray]:
+    """How far beyond each rule the camera was after each step, by transforms."""
+    count, workspace = len(course.goals), scene.workspace
+    feature = trial.T_world_feature[np.minimum(np.arange(1, count + 1), len(trial.timestamps_s) - 1), :3, 3]
+    found = []
+    for joints in (course.joints[1:], course.setpoints[1:]):
+        pose = scene.T_world_base @ scene.arm.forward(joints)
+        place = pose[:, :3, 3]
+        away = np.linalg.norm(place - feature, axis=1)
+        side = np.degrees(np.arcsin(pose[:, :3, 1] @ np.array(workspace.preferred_side)))
+        depth, below = workspace.zone.depth(place), workspace.below_floor(place)
+        found.append([1e3 * depth, 1e3 * below, side, 1e3 * (workspace.proximity_m - away)])
+    return dict(zip(DEPTHS, np.max(found, axis=0), strict=True))
 
 
 # --- worlds
@@ -132,9 +147,8 @@ def test_the_errors_are_those_of_a_run_with_the_same_set_points() -> None:
     for name, values in zip(ERRORS, np.array(views).T[: len(ERRORS)], strict=True):
         np.testing.assert_allclose(values, expected[name], rtol=1e-7, atol=1e-7, err_msg=name)
     np.testing.assert_allclose(costs, expected["view_cost"], rtol=1e-7)
-    beyond = depths(course, trial, scene)
     for name, values in zip(DEPTHS, np.array(views).T[len(ERRORS) :], strict=True):
-        np.testing.assert_allclose(values, beyond[name], atol=1e-12, err_msg=name)
+        np.testing.assert_allclose(values, beyond(course, trial, scene)[name], atol=1e-8, err_msg=name)
     # What is seen before each step, by transforms.
     T_camera_world = inverse_transform(scene.T_world_base @ scene.arm.forward(course.joints[:-1]))
     feature = T_camera_world @ trial.T_world_feature
@@ -207,13 +221,13 @@ def test_gymnasium_s_own_checks_pass(gym: Any) -> None:
 
 @pytest.mark.extras
 def test_an_episode_is_a_trial_and_its_reward_is_the_cost(gym: Any) -> None:
-    from surgbench.viewpoint.environment import BROKEN_COST_PER_MM, observation_slices
+    from surgbench.viewpoint.environment import BROKEN_COST, observation_slices
 
     env = gym.make("surgbench/Viewpoint-v0", trials=TRIALS[:1], steps=30)
     observation, info = env.reset(seed=0)
     assert info == {"trial": "world"}
     parts = observation_slices()
-    assert parts["measured"] == slice(36, 37)
+    assert parts["measured"] == slice(37, 38)
     np.testing.assert_allclose(observation[parts["joints"]], TRIALS[0].start, atol=1e-6)
     actions, rewards, setpoints = wild(np.random.default_rng(0), 30).clip(-1, 1).astype(np.float32), [], []
     for index, action in enumerate(actions):
@@ -227,8 +241,8 @@ def test_an_episode_is_a_trial_and_its_reward_is_the_cost(gym: Any) -> None:
     scene = make_scene(TRIALS[0])
     played = Played(np.array([TRIALS[0].start, *setpoints]))
     course = Simulation(played, TRIALS[0], scene, np.random.default_rng(0), 30).run()
-    broken = np.sum([np.maximum(depth, 0.0) for depth in depths(course, TRIALS[0], scene).values()], axis=0)
-    cost = course_errors(course, TRIALS[0], scene)["view_cost"] + BROKEN_COST_PER_MM * 1e3 * broken
+    broken = np.sum([np.maximum(depth, 0.0) for depth in beyond(course, TRIALS[0], scene).values()], axis=0)
+    cost = course_errors(course, TRIALS[0], scene)["view_cost"] + BROKEN_COST * broken
     np.testing.assert_allclose(rewards, -cost, rtol=1e-6)
     assert info["vva_deg"] == pytest.approx(course_errors(course, TRIALS[0], scene)["vva_deg"][-1])
 
@@ -291,7 +305,7 @@ def test_the_document_s_examples_run(gym: Any, monkeypatch: pytest.MonkeyPatch) 
     for block in blocks:
         exec(compile(block, str(DOCUMENT), "exec"), names)
     assert names["truncated"]
-    assert names["vector"].reset(seed=0)[0].shape == (64, 37)
+    assert names["vector"].reset(seed=0)[0].shape == (64, 38)
     for part in environment.OBSERVED:
         assert f"`{part}`" in DOCUMENT.read_text(encoding="utf-8")
 
