@@ -26,6 +26,7 @@ from surgbench.cli.report import report
 from surgbench.cli.reproduce import reproduce
 from surgbench.cli.run import run
 from surgbench.cli.score import score
+from surgbench.cli.serve_viewpoint import REMOTE, serve_viewpoint
 from surgbench.cli.track import IMPORTER, NOT_ASKED, track
 from surgbench.cli.train import train_app
 from surgbench.cli.validate import validate
@@ -47,7 +48,12 @@ class _Commands(TyperGroup):
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """The command that the arguments begin with."""
         name, command, rest = super().resolve_command(ctx, args)
-        whole = {"run": _run_with_all_options, "track": _track_with_all_options}.get(name or "")
+        more = {
+            "run": _run_with_all_options,
+            "track": _track_with_all_options,
+            "serve-viewpoint": _serve_with_all_options,
+        }
+        whole = more.get(name or "")
         return name, command if whole is None else whole(), rest
 
 
@@ -68,6 +74,17 @@ def _track_with_all_options() -> Any:
     options = {key: value for key, value in field_options({model: ""}).items() if key not in NOT_ASKED}
     own = typer.Typer(rich_markup_mode=None, add_completion=False, pretty_exceptions_enable=False)
     own.command("track")(with_options(track, options, "options"))
+    return typer.main.get_command(own)
+
+
+def _serve_with_all_options() -> Any:
+    from surgbench.registry import find
+    from surgbench.suite.asked import RowRequest
+    from surgbench.task import find_task
+
+    options = field_options({find_task(find("tracker", REMOTE).task).row: "With --dataset: "}, RowRequest)
+    own = typer.Typer(rich_markup_mode=None, add_completion=False, pretty_exceptions_enable=False)
+    own.command("serve-viewpoint")(with_options(serve_viewpoint, options, "asked"))
     return typer.main.get_command(own)
 
 
@@ -113,6 +130,7 @@ app.command("export")(export)
 app.command("score")(score)
 app.command("track")(with_options(track, {}, "options"))  # likewise
 app.command("handeye")(handeye)
+app.command("serve-viewpoint")(with_options(serve_viewpoint, {}, "asked"))  # likewise
 app.command("list")(list_names)
 check_app.command("tracker")(tracker)
 app.add_typer(check_app, name="check")

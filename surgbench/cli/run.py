@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import typer
 
-from surgbench.cli.progress import progress
+from surgbench.cli.carry_out import carry_out
 
 
 def run(
@@ -66,18 +65,10 @@ def run(
     your rights. A failed run is a record too; the exit code is 1 where every run failed. What this machine lacks
     something for is skipped and recorded with the reason.
     """
-    from rich.console import Console
-
     from surgbench.dataset.open import open_dataset
-    from surgbench.records.format import SKIPPED
-    from surgbench.records.reader import read_records
-    from surgbench.report.render import print_leaderboard
-    from surgbench.report.rows import derive_rows, hints
     from surgbench.suite.plan import complete_all
     from surgbench.suite.plan import jobs as plan_jobs
-    from surgbench.suite.run import check_output, make_plan, probe_output
-    from surgbench.suite.run import run as run_plan
-    from surgbench.suite.running import Run
+    from surgbench.suite.run import check_output
     from surgbench.suite.suites import from_command_line, load_suite, parse_sets
 
     row = {**asked, **_shorthand(asked, joints, no_joints), "sequences": sequences, "frames": frames}
@@ -88,46 +79,7 @@ def run(
     data = open_dataset(dataset)
     check_output(out)
     planned = [job for one in complete_all(suite_.rows, suite_, data, overrides) for job in plan_jobs(one, data)]
-    plan = make_plan(planned, out, retry_failed, again)
-    if plan.todo and not dry_run:
-        probe_output(out)
-    words = f"{len(plan.todo) - plan.skipped} runs, {plan.frames} frames to track"
-    if plan.skipped:
-        words += f"; {plan.skipped} cannot be run here"
-    if plan.done:
-        words += f"; {plan.done} recorded already"
-    if plan.retried:
-        words += f"; {plan.retried} failed before and are tried again"
-    if plan.again:
-        words += f"; {plan.again} recorded already and made again"
-    print(words, file=sys.stderr)
-    if dry_run:
-        for job in plan.todo:
-            print(out / job.path)
-        return
-
-    failures: list[dict[str, Any]] = []
-
-    def finished(record: dict[str, Any]) -> None:
-        if record["status"] not in ("ok", SKIPPED):
-            failures.append(record)
-
-    if plan.todo:
-        with progress("frames", plan.frames) as bar:
-            elsewhere = run_plan(plan, data, out, jobs, Run(bar, bar.stage), finished)
-        if elsewhere:
-            print(f"{elsewhere} of these were made by another call at the same time", file=sys.stderr)
-    for record in failures:
-        spec = record["spec"]
-        print(f"{spec['row_id']} {spec['unit']}: {record['status']}: {record['error']}", file=sys.stderr)
-    # The folder may hold other datasets' and other settings' records: show what was asked for.
-    asked_for = [record for record in read_records([out]) if record.spec_hash in {job.hash for job in planned}]
-    for line in hints(asked_for):
-        print(line, file=sys.stderr)
-    print_leaderboard(derive_rows(asked_for), Console())
-    print(out)
-    if failures and len(failures) == len(plan.todo) - plan.skipped:
-        raise typer.Exit(1)
+    carry_out(planned, data, out, jobs=jobs, retry_failed=retry_failed, again=again, dry_run=dry_run)
 
 
 def _shorthand(asked: dict[str, Any], joints: bool, no_joints: bool) -> dict[str, Any]:

@@ -123,6 +123,10 @@ class ViewpointTracker(Plugin):
     task: ClassVar[str] = "viewpoint"
     # An optimum in hindsight, to hold the others against: it is told the future, which no controller can know.
     foresees: ClassVar[bool] = False
+    # The answers come from elsewhere, over a line: there is nothing to warm up, and the line may break. Then it answers
+    # with the place where the arm comes to rest, and says in ``held`` the status of the run and one line on why.
+    elsewhere: ClassVar[bool] = False
+    held: tuple[str, str] | None = None
 
     def reset(self, scene: ViewpointScene, joints: FloatArray, rng: np.random.Generator) -> None:
         """Start a trial with the arm at rest at ``joints`` (``(6,)``). Untimed; everything slow belongs here."""

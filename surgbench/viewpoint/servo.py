@@ -13,16 +13,41 @@ from typing import Any
 
 import numpy as np
 import ruckig
-from numpy.typing import NDArray
 
 from surgbench.geometry import FloatArray
+from surgbench.viewpoint import servo_steps as steps
 from surgbench.viewpoint.camera_arm import CameraArm
+from surgbench.viewpoint.servo_steps import JOINTS
 
-JOINTS = 6
-# Of the limits, for what rounding adds.
-_SLACK = 1 + 1e-9
 # Ruckig finds no trajectory where a joint must brake exactly as hard as it can; a little less velocity mends that.
 _NUDGES = (0.0, 1e-9, 1e-6)
+_REST = [0.0] * JOINTS
+
+
+def servo_limits(arm: CameraArm) -> FloatArray:
+    """``(4, 6)`` lower, upper, velocity and acceleration limits, as :mod:`surgbench.viewpoint.servo_steps` has them."""
+    return np.array([arm.lower, arm.upper, arm.velocity, arm.acceleration], dtype=np.float64)
+
+
+def servo_timing(dt_s: float, lag_s: float) -> FloatArray:
+    """``(3,)`` period, time constant, and what is left of a lag after a period, as the same has them."""
+    return np.array([dt_s, lag_s, np.exp(-dt_s / lag_s) if lag_s > 0 else 0.0])
+
+
+def resting_place(arm: CameraArm, setpoint: FloatArray, velocity: FloatArray) -> FloatArray:
+    """Where joints come to rest if they brake as hard as they can, within their limits.
+
+    Args:
+        arm: Its limits.
+        setpoint: ``(6,)`` what the joints are told at this moment.
+        velocity: ``(6,)`` how fast that moves.
+
+    Returns:
+        ``(6,)``: to ``move`` there is to hold.
+    """
+    goal = np.empty(JOINTS)
+    steps.rest(servo_limits(arm), np.array([setpoint, velocity]), goal)
+    return goal
 
 
 class JointServo:
@@ -33,88 +58,89 @@ class JointServo:
         start: ``(6,)`` joints at rest, within the limits.
         dt_s: Seconds between commands.
         lag_s: Time constant of the joints behind their set points.
-
-    Attributes:
-        setpoint: ``(6,)`` what the joints are told at this moment.
-        velocity: ``(6,)`` how fast that moves.
-        joints: ``(6,)`` where they are.
     """
 
     def __init__(self, arm: CameraArm, start: FloatArray, dt_s: float, lag_s: float) -> None:
-        self._lower, self._upper, self._dt_s = arm.lower, arm.upper, dt_s
-        self._fastest, self._acceleration = np.array(arm.velocity), np.array(arm.acceleration)
-        self._lag_s, self._decay = lag_s, float(np.exp(-dt_s / lag_s)) if lag_s > 0 else 0.0
-        self._planners = {mode: ruckig.Ruckig(JOINTS, dt_s) for mode in ("move", "servo")}
-        self._input, self._output = ruckig.InputParameter(JOINTS), ruckig.OutputParameter(JOINTS)
-        self._input.max_velocity, self._input.max_acceleration = arm.velocity, arm.acceleration
-        self._input.max_jerk = [np.inf] * JOINTS
-        self._input.current_acceleration = [0.0] * JOINTS
-        self._synchronization = {"move": ruckig.Synchronization.Time, "servo": ruckig.Synchronization.No}
-        self.setpoint = arm.clip(np.array(start, dtype=np.float64))
-        self.velocity = np.zeros(JOINTS)
-        self.joints = self.setpoint.copy()
+        self._limits, self._timing = servo_limits(arm), servo_timing(dt_s, lag_s)
+        self._moving = _Planner(arm, dt_s, ruckig.Synchronization.Time)
+        self._following = _Planner(arm, dt_s, ruckig.Synchronization.No)
+        begin = arm.clip(np.array(start, dtype=np.float64))
+        self._state = np.array([begin, np.zeros(JOINTS), begin])
+
+    @property
+    def setpoint(self) -> FloatArray:
+        """``(6,)`` what the joints are told at this moment."""
+        setpoint: FloatArray = self._state[0]
+        return setpoint
+
+    @property
+    def velocity(self) -> FloatArray:
+        """``(6,)`` how fast that moves."""
+        velocity: FloatArray = self._state[1]
+        return velocity
+
+    @property
+    def joints(self) -> FloatArray:
+        """``(6,)`` where they are."""
+        joints: FloatArray = self._state[2]
+        return joints
 
     def move(self, goal: FloatArray) -> None:
         """One step towards rest at ``goal`` (``(6,)``, clipped to the limits)."""
-        self._follow(*self._plan("move", np.clip(goal, self._lower, self._upper), np.zeros(JOINTS)))
+        within = np.empty(JOINTS)
+        steps.clip_all(self._limits, goal, within)
+        self._move(within)
 
     def servo(self, target: FloatArray, velocity: FloatArray) -> None:
         """Be at ``target`` (``(6,)``, clipped to the limits) after this step, or there with ``velocity`` soon."""
-        target = np.clip(target, self._lower, self._upper)
-        needed = (target - self.setpoint) / self._dt_s
-        possible = (
-            (np.abs(needed) <= self._fastest * _SLACK)
-            & (np.abs(needed - self.velocity) <= self._acceleration * self._dt_s * _SLACK)
-            & self._can_stop(target, needed)
-        )
-        if not possible.all():
-            velocity = np.clip(velocity, -self._fastest, self._fastest)
-            velocity = np.where(self._can_stop(target + velocity * self._dt_s, velocity), velocity, 0.0)
-            position, speed = self._plan("servo", target, velocity)
-            target, needed = np.where(possible, target, position), np.where(possible, needed, speed)
-            # To arrive with a velocity may take a run-up, for which there may be no room.
-            safe = self._can_stop(target, needed)
-            if not safe.all():
-                slower = self._slower()
-                braked = self.setpoint + (self.velocity + slower) / 2 * self._dt_s
-                target, needed = np.where(safe, target, braked), np.where(safe, needed, slower)
-        self._follow(target, needed)
-
-    def _can_stop(self, setpoint: FloatArray, velocity: FloatArray) -> NDArray[np.bool_]:
-        """Which joints come to rest within the limits."""
-        rest = setpoint + velocity * np.abs(velocity) / (2 * self._acceleration)
-        return np.asarray((rest <= self._upper) & (rest >= self._lower))
+        limits, timing, state = self._limits, self._timing, self._state
+        goal, after = np.empty((2, JOINTS)), np.empty((3, JOINTS))
+        if not steps.servo(limits, timing, state, target, velocity, goal, after):
+            planned = self._plan(self._following, goal[0], goal[1].tolist())
+            steps.servo_planned(limits, timing, state, goal, planned, after)
+        self._state = after
 
     def hold(self) -> None:
         """Come to rest as soon as the limits allow."""
-        self.move(self.setpoint + self.velocity * np.abs(self.velocity) / (2 * self._acceleration))
+        goal = np.empty(JOINTS)
+        steps.rest(self._limits, self._state, goal)
+        self._move(goal)
 
-    def _plan(self, mode: Any, goal: FloatArray, velocity: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Set point and velocity after one step on the way to a goal."""
+    def _move(self, goal: FloatArray) -> None:
+        after = np.empty((3, JOINTS))
+        steps.follow_all(self._limits, self._timing, self._state, self._plan(self._moving, goal, _REST), after)
+        self._state = after
+
+    def _plan(self, planner: _Planner, goal: FloatArray, velocity: list[float]) -> FloatArray:
+        """``(2, 6)`` set point and velocity after one step on the way to a goal."""
+        planned = planner(self._state, goal, velocity)
+        if planned is None:
+            planned = np.empty((2, JOINTS))
+            steps.brake_all(self._limits, self._timing, self._state, planned)
+        return planned
+
+
+class _Planner:
+    """Trajectories to goals, anew from every set point."""
+
+    def __init__(self, arm: CameraArm, dt_s: float, synchronization: Any) -> None:
+        self._ruckig = ruckig.Ruckig(JOINTS, dt_s)
+        self._input, self._output = ruckig.InputParameter(JOINTS), ruckig.OutputParameter(JOINTS)
+        self._input.max_velocity, self._input.max_acceleration = arm.velocity, arm.acceleration
+        self._input.max_jerk = [np.inf] * JOINTS
+        self._input.current_acceleration = _REST
+        self._input.synchronization = synchronization
+
+    def __call__(self, state: FloatArray, goal: FloatArray, velocity: list[float]) -> FloatArray | None:
+        """``(2, 6)`` set point and velocity after one step; ``None`` where no trajectory is found."""
         given, result = self._input, self._output
-        given.synchronization = self._synchronization[mode]
-        given.current_position = self.setpoint.tolist()
-        given.target_position, given.target_velocity = goal.tolist(), velocity.tolist()
+        given.current_position, speed = state[:2].tolist()
+        given.target_position, given.target_velocity = goal.tolist(), velocity
         for nudge in _NUDGES:
-            given.current_velocity = (self.velocity * (1 - nudge)).tolist()
+            given.current_velocity = [(1 - nudge) * one for one in speed]
             try:
-                self._planners[mode].update(given, result)
+                self._ruckig.update(given, result)
             except ruckig.RuckigError:
                 continue
-            return np.array(result.new_position), np.array(result.new_velocity)
-        slower = self._slower()
-        return self.setpoint + (self.velocity + slower) / 2 * self._dt_s, slower
-
-    def _slower(self) -> FloatArray:
-        """Velocity after one step of braking."""
-        speed = np.maximum(np.abs(self.velocity) - self._acceleration * self._dt_s, 0.0)
-        return np.asarray(np.sign(self.velocity) * speed)
-
-    def _follow(self, setpoint: FloatArray, velocity: FloatArray) -> None:
-        """Take the next set point; the joints follow it while it moves there evenly."""
-        clipped = np.clip(setpoint, self._lower, self._upper)
-        velocity = np.where(clipped == setpoint, velocity, 0.0)
-        trail = (clipped - self.setpoint) / self._dt_s * self._lag_s  # how far they are behind in the long run
-        self.joints = clipped - trail + (self.joints - self.setpoint + trail) * self._decay
-        self.setpoint = clipped
-        self.velocity = np.clip(velocity, -self._fastest, self._fastest)
+            return np.array((result.new_position, result.new_velocity))
+        return None

@@ -15,24 +15,18 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from surgbench.errors import DatasetError, InvalidAnswerError
-from surgbench.geometry import FloatArray, inverse_transform, is_rigid, nearest_rotation, rigid_transform
-from surgbench.viewpoint.contract import ViewCommand, ViewpointObservation, ViewpointScene
+from surgbench.errors import DatasetError
+from surgbench.geometry import FloatArray
+from surgbench.viewpoint.contract import ViewpointObservation, ViewpointScene
 from surgbench.viewpoint.placement import CONSTRAINTS
+from surgbench.viewpoint.receiver import Receiver
 from surgbench.viewpoint.registration import Method, register, residual_m
 from surgbench.viewpoint.servo import JointServo
 from surgbench.viewpoint.trial import Trial
 from surgbench.viewpoint.workspace import NoGoZone, Workspace
 
 SERVO_LAG_S = 0.015
-# A commanded pose may be this far from a rigid transform in any number, as in single or half precision, or as a file
-# or a message has it, rounded to three digits; the nearest one is taken then.
-RIGID_TOLERANCE = 1e-3
 REPORT_EVERY = 200
-
-
-class InvalidCommandError(InvalidAnswerError):
-    """A controller returned something that is no command; one line that says what."""
 
 
 class Controller(Protocol):
@@ -203,93 +197,3 @@ class Simulation:
             self._goals[index] = servo.setpoint
             servo.hold()
         self._joints[index + 1], self._setpoints[index + 1] = servo.joints, servo.setpoint
-
-
-@dataclass(frozen=True, eq=False)
-class Received:
-    """A command as the arm takes it: joints within the limits; with a velocity where it is to be followed at once."""
-
-    goal: FloatArray
-    velocity: FloatArray | None
-    clipped: bool
-    active: tuple[str, ...]
-    solver: bool
-
-
-class Receiver:
-    """Checks answers, and turns poses into joints as the robot does (``move_cp``: from the measured joints, clipped).
-
-    Args:
-        scene: The trial's constants.
-    """
-
-    def __init__(self, scene: ViewpointScene) -> None:
-        self._arm = scene.arm
-        self._T_base_world = inverse_transform(scene.T_world_base)
-
-    def __call__(self, answer: Any, joints: FloatArray) -> Received:
-        """Take an answer in.
-
-        Args:
-            answer: What ``step`` returned.
-            joints: ``(6,)`` measured.
-
-        Raises:
-            InvalidCommandError: It is no command.
-        """
-        command = answer if isinstance(answer, ViewCommand) else ViewCommand(answer)
-        target = _numbers(command.target, "a command")
-        if target.shape == (4, 4):
-            target = self._arm.inverse(self._T_base_world @ _rigid(target), joints)
-        elif target.shape != (6,):
-            raise InvalidCommandError(f"the controller returned shape {target.shape}, not (6,) joints or a (4, 4) pose")
-        if command.mode not in ("move", "servo"):
-            raise InvalidCommandError(f"the controller returned mode {command.mode!r}, not 'move' or 'servo'")
-        unknown = [name for name in command.active if name not in CONSTRAINTS]
-        if unknown:
-            raise InvalidCommandError(
-                f"the controller names an unknown rule {unknown[0]!r} (known: {', '.join(CONSTRAINTS)})"
-            )
-        velocity = None
-        if command.mode == "servo":
-            velocity = np.zeros(6) if command.velocity is None else _numbers(command.velocity, "a velocity")
-            if velocity.shape != (6,):
-                raise InvalidCommandError(f"the controller returned a velocity of shape {velocity.shape}, not (6,)")
-        goal = self._arm.clip(target)
-        clipped = bool((np.abs(goal - target) > 1e-9).any())
-        return Received(goal, velocity, clipped, command.active, bool(command.solver))
-
-
-def _rigid(pose: FloatArray) -> FloatArray:
-    """A ``(4, 4)`` pose as it is, or the nearest rigid one.
-
-    Raises:
-        InvalidCommandError: That is too far.
-    """
-    if is_rigid(pose):
-        return pose
-    nearest = rigid_transform(nearest_rotation(pose[:3, :3]), pose[:3, 3])
-    if (off := float(np.abs(pose[3] - nearest[3]).max())) > RIGID_TOLERANCE:
-        raise InvalidCommandError(
-            f"the controller returned a pose whose last row is {off:.2g} off 0, 0, 0, 1 "
-            f"(tolerance {RIGID_TOLERANCE:g}); is it transposed?"
-        )
-    if (off := float(np.abs(pose - nearest).max())) > RIGID_TOLERANCE:
-        kind = "a mirror image, " if np.linalg.det(pose[:3, :3]) < 0 else ""
-        raise InvalidCommandError(
-            f"the controller returned a pose whose rotation is no rotation: {kind}{off:.2g} off the nearest "
-            f"(tolerance {RIGID_TOLERANCE:g}, of its numbers)"
-        )
-    return nearest
-
-
-def _numbers(value: Any, what: str) -> FloatArray:
-    if value is None:
-        raise InvalidCommandError(f"the controller returned nothing (None), not {what}")
-    try:
-        numbers = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise InvalidCommandError(f"the controller returned {type(value).__name__}, not {what} of numbers") from None
-    if not np.isfinite(numbers).all():
-        raise InvalidCommandError(f"the controller returned {what} with NaN or infinity")
-    return numbers

@@ -16,10 +16,11 @@ from surgbench.tasks.viewpoint.conformance.worlds import DT_S, circling, feature
 from surgbench.viewpoint.camera_arm import CameraArm
 from surgbench.viewpoint.contract import ViewCommand, ViewpointObservation, ViewpointScene
 from surgbench.viewpoint.placement import naive_pose
+from surgbench.viewpoint.receiver import InvalidCommandError, Receiver, _rigid
 from surgbench.viewpoint.rules import find_events, reported_depths
 from surgbench.viewpoint.scores import course_errors, naive_violations, view_errors
 from surgbench.viewpoint.servo import JointServo
-from surgbench.viewpoint.simulator import Course, InvalidCommandError, Simulation, _rigid, make_scene
+from surgbench.viewpoint.simulator import Course, Simulation, make_scene
 from surgbench.viewpoint.trial import Trial
 
 ARM = CameraArm()
@@ -179,6 +180,7 @@ def test_where_the_feature_is_not_measured_the_arm_comes_to_rest_and_nobody_is_a
         (None, "not a command|NaN"),
         (np.full(6, np.nan), "NaN or infinity"),
         (np.zeros(5), r"shape \(5,\)"),
+        ([10**400, 0, 0, 0, 0, 0], "list, not a command of numbers"),
         (np.diag([2.0, 1, 1, 1]), r"no rotation: 1 off the nearest \(tolerance 0\.001"),
         (np.diag([-1.0, 1, 1, 1]), "a mirror image"),
         (rigid_transform(np.eye(3), np.array([0.1, 0.2, 0.3])).T, r"last row is 0\.3 off 0, 0, 0, 1.*transposed"),
@@ -208,6 +210,22 @@ def test_a_pose_that_is_nearly_rigid_is_taken_as_the_nearest(seed: int, how: str
     taken = _rigid(nearly)
     assert is_rigid(taken)
     assert np.abs(taken - pose).max() < {"rounded": 1e-4, "scaled": 1e-12, "float16": 1e-3, "float32": 1e-6}[how]
+
+
+@given(st.integers(0, 2**32 - 1), st.sampled_from([0.0, 1e-9, 1e-7, 1e-6, 1e-4]))
+def test_a_pose_is_received_as_the_arm_s_inverse_to_the_last_bit(seed: int, noise: float) -> None:
+    """Compiled or not: the same joints, clipped, of poses that are rigid, nearly so, and out of reach."""
+    rng = np.random.default_rng(seed)
+    base = rigid_transform(rotation_from_vector(rng.normal(0.0, 0.1, 3)), rng.normal(0.0, 0.2, 3))
+    scene = make_scene(make_trial(circling(3).T_world_feature, base, HOME), registration="none")
+    near = rng.uniform(ARM.lower, ARM.upper)
+    pose = base @ ARM.forward(rng.uniform(1.2 * ARM.lower, 1.2 * ARM.upper))
+    pose[:3, :3] += rng.normal(0.0, noise, (3, 3))
+    received = Receiver(scene)(pose, near)
+    joints = ARM.inverse(inverse_transform(base) @ _rigid(pose), near)
+    np.testing.assert_array_equal(received.goal, ARM.clip(joints))
+    assert received.clipped == (np.abs(joints - ARM.clip(joints)).max() > 1e-9)
+    assert (received.velocity, received.active, received.solver) == (None, (), False)
 
 
 def test_an_exact_pose_stays_as_it_is_to_the_last_bit() -> None:

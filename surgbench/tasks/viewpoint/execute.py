@@ -50,6 +50,8 @@ def execute(job: Job, dataset: ViewpointDataset, run: Run) -> dict[str, Any]:
                 kind, content = child.receive()
                 if kind == "progress":
                     run.advance(content)
+                elif kind == "held":
+                    status, error = content
                 else:
                     course = content
     except ChildProblemError as problem:

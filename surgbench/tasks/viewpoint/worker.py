@@ -59,17 +59,27 @@ def _controller(setup: ViewpointSetup) -> Controller:
 
 
 def run(tell: Tell, setup: ViewpointSetup) -> tuple[Any, ...]:
-    """The course of a trial; tells ``("ready",)``, ``("progress", steps)``, and what was done before a problem."""
-    find("tracker", setup.tracker.reference)
+    """The course of a trial.
+
+    Tells ``("ready",)``, ``("progress", steps)``, what was done before a problem, and ``("held", (status, line))``
+    where the arm came to rest for want of commands.
+    """
+    found = find("tracker", setup.tracker.reference)
     tell("ready")  # everything is imported
-    with contextlib.suppress(Exception):  # what is wrong with it will show again
-        warm_up(setup)
-    simulation = Simulation(_controller(setup), setup.trial, setup.scene, generator(**setup.axes), setup.steps)
+    if not getattr(found.cls, "elsewhere", False):
+        with contextlib.suppress(Exception):  # what is wrong with it will show again
+            warm_up(setup)
+    controller = _controller(setup)
+    simulation = Simulation(controller, setup.trial, setup.scene, generator(**setup.axes), setup.steps)
     try:
-        return ("course", simulation.run(lambda steps: tell("progress", steps)))
+        course = simulation.run(lambda steps: tell("progress", steps))
     except Exception:
         tell("course", simulation.course)
         raise
+    held = getattr(controller, "held", None)
+    if held is not None:
+        tell("held", held)
+    return ("course", course)
 
 
 if __name__ == "__main__":

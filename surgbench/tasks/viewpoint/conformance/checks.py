@@ -16,8 +16,9 @@ from surgbench.randomness import generator
 from surgbench.tasks.viewpoint.conformance.worlds import circling, random_trial
 from surgbench.viewpoint.contract import ViewpointObservation, ViewpointScene
 from surgbench.viewpoint.placement import look_at
+from surgbench.viewpoint.receiver import InvalidCommandError
 from surgbench.viewpoint.scores import course_errors
-from surgbench.viewpoint.simulator import Course, InvalidCommandError, Simulation, make_scene
+from surgbench.viewpoint.simulator import Course, Simulation, make_scene
 from surgbench.viewpoint.trial import Trial
 
 STEPS = 240
