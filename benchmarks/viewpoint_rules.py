@@ -127,6 +127,7 @@ def main() -> None:
                 trial = dataset.trial(info.id)
                 scene = make_scene(trial)
                 controller = create(find("tracker", name), given)
+                Simulation(controller, trial, scene, np.random.default_rng(0), 40).run()  # compiled
                 course = Simulation(controller, trial, scene, np.random.default_rng(0)).run()
                 latency.append(course.latency_ms)
                 one, errors = measure(course, trial, scene, not options.no_proofs)

@@ -18,7 +18,7 @@ from surgbench.viewpoint.contract import ViewCommand, ViewpointObservation, View
 class GazeConfig(Section):
     """Options."""
 
-    filter_gain: Annotated[float, Field(gt=0, le=1, description="alpha of the filter of the feature's motion")] = 0.7
+    filter_gain: Annotated[float, Field(gt=0, le=1, description="alpha of the filter of the feature's motion")] = 0.5
     normal_gain: Annotated[float, Field(gt=0, le=1, description="the same for the feature's normal")] = 0.5
     feed_forward: Annotated[float, Field(ge=0, le=1, description="share of the goal's velocity counted on")] = 0.3
     patience_rad: Annotated[
@@ -45,6 +45,7 @@ class GazeConfig(Section):
 FARTHEST_M = 1e3
 # Tolerances: gaze (rad), level (rad), distance (m), direction (rad), Huber's threshold for it, rules (m), cone (m).
 GOAL = 1 / np.array([5e-3, 2e-3, 5e-4, 1e-1, 1.0, 3e-4, 3e-3])
+WAY = 1 / np.array([5e-3, 2e-3, 5e-4, 1e-1, 1.0, np.inf, np.inf])
 STEP = 1 / np.array([2e-4, 5e-4, 1e-3, np.inf, 1.0, np.inf, np.inf])
 # Of the margin, this is for goals alone, so that steps are not held up at the border where goals lie.
 GOALS_OWN_M = 0.001
@@ -100,11 +101,12 @@ class Gaze(ViewpointTracker):
         if self._motion is None or observation.index != self._index + 1:  # the first, or after a gap
             still = np.zeros(3)
             self._motion = np.array([pose[:3, 3], still, pose[:3, 1], still])
+            self._memory[:] = 0.0
         self._index = observation.index
         target = np.empty(6)
         way = advance(
-            self._world, self._options, GOAL, STEP, self._iterations, observation.index, pose, self._motion, self._last,
-            self._goal, self._memory, observation.joints, observation.setpoint, observation.setpoint_velocity, target,
+            self._world, self._options, GOAL, WAY, STEP, self._iterations, observation.index, pose, self._motion,
+            self._last, self._goal, self._memory, observation.joints, observation.setpoint, observation.setpoint_velocity, target,
         )  # fmt: skip
         velocity = (target - observation.setpoint) / self._dt_s
         return ViewCommand(target, mode="servo", velocity=velocity, solver=way == FITTED)

@@ -12,7 +12,7 @@ from surgbench.trackers.viewing.approach import chase, track
 from surgbench.trackers.viewing.barrier import guard
 from surgbench.trackers.viewing.brake import secure
 from surgbench.trackers.viewing.fit import fit
-from surgbench.trackers.viewing.goal import look, place, seek
+from surgbench.trackers.viewing.goal import look_nearly, place, seek
 from surgbench.trackers.viewing.pace import pace
 from surgbench.trackers.viewing.residuals import DISTANCE, DIRECTION, HUBER, RULE, SOFT
 from surgbench.trackers.viewing.way import arc, clear, go_round
@@ -21,9 +21,10 @@ from surgbench.trackers.viewing.world import ACCELERATION, LOWER, UPPER, VELOCIT
 AT_ONCE, LATER, FITTED = range(3)
 # Where the numbers of ``options`` stand.
 FILTER_GAIN, NORMAL_GAIN, FEED_FORWARD, PATIENCE, SHARE, FASTEST = range(6)
-# Of ``memory``: whether there is a way round, and the direction it goes by; steps since it was looked for.
-ROUND, BY, TRIED = 0, slice(1, 4), 4
-MEMORY = 5
+# Of ``memory``: whether there is a way round, and the direction it goes by; steps since it was looked for; and the
+# velocity with which the camera should go round the feature.
+ROUND, TRIED, VELOCITY_OF_WAY = 0, 4, 5
+MEMORY = 8
 # After so many steps a way round is looked for again.
 TRY_AGAIN = 8
 # One over the tolerance of the camera's place, where a step has to give something up.
@@ -31,6 +32,8 @@ TURN = 1 / 5e-3
 # Beyond this cost of a view another turn of roll and wrist is tried; a way shorter than this is never gone round.
 LOST, BETTER = 2e4, 0.8
 SHORT_RAD = 0.3
+# So much a way may be beyond a rule, and so much it must be within once there is another way.
+SURE_M = 1e-3
 
 
 @compiled
@@ -76,26 +79,24 @@ def direct(
     near: FloatArray,
     memory: FloatArray,
 ) -> None:
-    """Decide on the way: straight, or round by a direction that ``memory`` (``(5,)``) keeps."""
-    by = np.empty(3)
-    if arc(start, end, by) < SHORT_RAD or clear(world, feature, tool, start, start_m, end, end_m, near, True):
+    """Decide on the way: straight, or round by a direction that ``memory`` (``(8,)``) keeps."""
+    by = memory[1:4]
+    going = memory[ROUND] > 0.0
+    slack_m = -SURE_M if going else SURE_M
+    short = arc(start, end, np.empty(3)) < SHORT_RAD
+    if short or clear(world, feature, tool, start, start_m, end, end_m, near, True, slack_m):
         memory[ROUND], memory[TRIED] = 0.0, 0.0
         return
-    if memory[ROUND] > 0.0:
-        by = memory[1:4]
-        if clear(world, feature, tool, start, start_m, by, world.distance_m, near, False):
-            memory[TRIED] += 1.0
-            if memory[TRIED] < TRY_AGAIN:
-                return
-        memory[TRIED] = 0.0
-    elif memory[TRIED] > 0.0:
-        memory[TRIED] = memory[TRIED] + 1.0 if memory[TRIED] < TRY_AGAIN else 0.0
+    memory[TRIED] += 1.0
+    if memory[TRIED] < TRY_AGAIN and (
+        not going or clear(world, feature, tool, start, start_m, by, world.distance_m, near, False, SURE_M)
+    ):
         return
-    by = memory[1:4]
-    found = go_round(world, feature, tool, start, start_m, end, end_m, near, True, by)
-    if not found and not clear(world, feature, tool, start, start_m, end, end_m, near, False):
-        found = go_round(world, feature, tool, start, start_m, end, end_m, near, False, by)
-    memory[ROUND], memory[TRIED] = (1.0, 0.0) if found else (0.0, 1.0)
+    memory[TRIED] = 0.0
+    found = go_round(world, feature, tool, start, start_m, end, end_m, near, True, SURE_M, by)
+    if not found and not clear(world, feature, tool, start, start_m, end, end_m, near, False, slack_m):
+        found = go_round(world, feature, tool, start, start_m, end, end_m, near, False, SURE_M, by)
+    memory[ROUND] = 1.0 if found else 0.0
 
 
 @compiled(makes_arrays=True, calls="viewpoint")
@@ -103,6 +104,7 @@ def advance(
     world: World,
     options: FloatArray,
     goal_weights: FloatArray,
+    way_weights: FloatArray,
     step_weights: FloatArray,
     iterations: FloatArray,
     index: int,
@@ -123,6 +125,7 @@ def advance(
         options: ``(6,)``: the two filter gains, the share fed forward, by how much roll and wrist are behind when the
             others go at half their pace, the share of the accelerations for the way, and the largest speed on it.
         goal_weights: ``(7,)``.
+        way_weights: ``(7,)``.
         step_weights: ``(7,)``.
         iterations: ``(2,)`` of the two fits.
         index: Of the step.
@@ -130,7 +133,7 @@ def advance(
         motion: ``(4, 3)`` filtered feature and its velocity, normal and its velocity.
         last: ``(6,)`` what looked at the feature in the last step, updated.
         goal: ``(6,)`` joints where the camera should be in the end; the last step's, improved.
-        memory: ``(5,)`` of the way.
+        memory: ``(8,)`` of the way.
         joints: ``(6,)`` measured.
         setpoint: ``(6,)``.
         velocity: ``(6,)``.
@@ -169,23 +172,22 @@ def advance(
         end_m = world.distance_m
     angle = arc(start, end, across)
 
-    # How fast it goes along the way now, by the slow joints, and how far it should be after the step.
+    # How fast it went along the way until now, as far as that is this way, and how far it should be after the step.
     speed = 0.0
-    before = virtual.copy()
     for k in range(3):
-        before[k] -= velocity[k] * dt
-    place(world, before, p)
-    for k in range(3):
-        speed += ((here[k] - p[k]) / dt - motion[1, k]) * across[k]
-    along = np.empty(2)
-    pace(
-        world, later, start, start_m, end, end_m, further, virtual, max(speed, 0.0), options[SHARE], along
-    )  # fmt: skip
+        speed += memory[VELOCITY_OF_WAY + k] * across[k]
     behind = 0.0
     for joint in range(3, 6):
         behind = max(behind, abs(last[joint] - setpoint[joint]))
-    moved = along[0] / (1.0 + (behind / options[PATIENCE]) ** 2)
-    moved = min(moved, options[FASTEST] * dt)
+    patience = 1.0 / (1.0 + (behind / options[PATIENCE]) ** 2)
+    along = np.empty(2)
+    speed = pace(
+        world, later, start, start_m, end, end_m, further, virtual, max(speed, 0.0), options[SHARE], patience, tool,
+        way_weights, int(iterations[0]), along,
+    )  # fmt: skip
+    moved = min(along[0], options[FASTEST] * dt)
+    for k in range(3):
+        memory[VELOCITY_OF_WAY + k] = min(speed, options[FASTEST]) * across[k]
     share = moved / along[1] if along[1] > 1e-12 else 1.0
     u, wanted, box = np.empty(3), np.empty(6), np.empty((2, 6))
     for k in range(3):
@@ -194,12 +196,10 @@ def advance(
     met = share >= 1.0 and memory[ROUND] == 0.0
     if met:
         wanted[:] = goal
-    elif look(world, later, u, start_m + share * (end_m - start_m), virtual, p, wanted) < 0.0:
-        # What the joints can do that comes nearest.
-        for joint in range(6):
-            wanted[joint] = min(world.limits[UPPER, joint], max(world.limits[LOWER, joint], virtual[joint]))
-        fit(
-            world, wanted, world.limits[LOWER], world.limits[UPPER], later, u, tool, goal_weights, int(iterations[0])
+    else:
+        distance_m = start_m + share * (end_m - start_m)
+        look_nearly(
+            world, later, u, distance_m, tool, way_weights, int(iterations[0]), virtual, p, wanted
         )  # fmt: skip
     for joint in range(3):
         out[joint] = min(box[1, joint], max(box[0, joint], wanted[joint]))

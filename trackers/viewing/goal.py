@@ -82,6 +82,41 @@ def look(
 
 
 @compiled(makes_arrays=True, calls="viewpoint")
+def look_nearly(
+    world: World,
+    feature: FloatArray,
+    direction: FloatArray,
+    distance_m: float,
+    tool: FloatArray,
+    weights: FloatArray,
+    iterations: int,
+    near: FloatArray,
+    p: FloatArray,
+    joints: FloatArray,
+) -> bool:
+    """As :func:`look`, but the joints within their limits that come nearest where it is beyond them; whether it is not.
+
+    Args:
+        world: Arm and rules.
+        feature: ``(3,)``.
+        direction: ``(3,)``.
+        distance_m: From the feature.
+        tool: ``(3,)``.
+        weights: ``(7,)`` of the residuals.
+        iterations: Of the fit.
+        near: ``(6,)`` where that begins.
+        p: ``(3,)``, filled: the camera, if it could be had.
+        joints: ``(6,)``, filled.
+    """
+    if look(world, feature, direction, distance_m, near, p, joints) >= 0.0:
+        return True
+    for joint in range(6):
+        joints[joint] = min(world.limits[UPPER, joint], max(world.limits[LOWER, joint], near[joint]))
+    fit(world, joints, world.limits[LOWER], world.limits[UPPER], feature, direction, tool, weights, iterations)
+    return False
+
+
+@compiled(makes_arrays=True, calls="viewpoint")
 def place(world: World, joints: FloatArray, p: FloatArray) -> None:
     """The camera's place ``(3,)``."""
     pose = np.empty((4, 4))

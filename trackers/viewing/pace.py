@@ -8,7 +8,7 @@ import numpy as np
 
 from surgbench.compiled import compiled
 from surgbench.geometry import FloatArray
-from surgbench.trackers.viewing.goal import look
+from surgbench.trackers.viewing.goal import look_nearly
 from surgbench.trackers.viewing.way import arc
 from surgbench.trackers.viewing.world import ACCELERATION, VELOCITY, World
 
@@ -29,6 +29,10 @@ def pace(
     near: FloatArray,
     speed_m_s: float,
     share: float,
+    patience: float,
+    tool: FloatArray,
+    weights: FloatArray,
+    iterations: int,
     along: FloatArray,
 ) -> float:
     """How far along an arc the camera should be after one step.
@@ -49,6 +53,10 @@ def pace(
         near: ``(6,)`` joints at the start.
         speed_m_s: Along the way, now.
         share: Of the accelerations.
+        patience: Share of the speed, where roll and wrist are behind.
+        tool: ``(3,)``.
+        weights: ``(7,)``, for places that the joints cannot quite reach, as what follows.
+        iterations: Of the fit there.
         along: ``(2,)``, filled: metres along the way after the step, and the whole arc's length.
 
     Returns:
@@ -73,7 +81,8 @@ def pace(
         turned = done * angle if length > LEAST_M else n * apart / world.distance_m
         for k in range(3):
             u[k] = math.cos(turned) * start[k] + math.sin(turned) * across[k]
-        look(world, feature, u, start_m + min(done, 1.0) * (end_m - start_m), before, p, q)
+        distance_m = start_m + min(done, 1.0) * (end_m - start_m)
+        look_nearly(world, feature, u, distance_m, tool, weights, iterations, before, p, q)
         if n:
             for joint in range(6):
                 rate[joint] = (q[joint] - before[joint]) / apart
@@ -97,6 +106,6 @@ def pace(
     fastest = math.sqrt(unit * unit + 2 * hardest * (length + further_m)) - unit
     for n in range(AHEAD):
         fastest = min(fastest, math.sqrt(bound[n] ** 2 + 2 * hardest * max(n * apart - speed_m_s * dt, 0.0)))
-    fastest = max(min(fastest, speed_m_s + hardest * dt), 0.0)
+    fastest = max(min(fastest * patience, speed_m_s + hardest * dt), 0.0)
     along[0] = min(fastest * dt, length)
     return fastest

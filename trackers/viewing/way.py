@@ -22,7 +22,7 @@ LOOK_RAD, LOOKS = 0.12, 24
 # No direction is nearer than another to the opposite of one.
 OPPOSITE = -0.98
 # What counts as within the rules on the way; the goal itself may lie on a border.
-SLACK_M, SLACK_RAD = 1e-3, 0.02
+SLACK_RAD = 0.02
 
 
 @compiled
@@ -51,6 +51,7 @@ def clear(
     end_m: float,
     near: FloatArray,
     cone: bool,
+    slack_m: float,
 ) -> bool:
     """Whether the arm can go along an arc around the feature within the rules.
 
@@ -64,6 +65,7 @@ def clear(
         end_m: There.
         near: ``(6,)`` joints at the start.
         cone: Also out of the tool's cone.
+        slack_m: So far beyond a rule the way may go.
     """
     across, u, p, joints, last = np.empty(3), np.empty(3), np.empty(3), np.empty(6), near.copy()
     angle = arc(start, end, across)
@@ -76,7 +78,7 @@ def clear(
             u[k] = math.cos(share * angle) * start[k] + math.sin(share * angle) * across[k]
         if look(world, feature, u, start_m + share * (end_m - start_m), last, p, joints) < -SLACK_RAD:
             return False
-        if worst(world, p, feature, tool, world.guard_m, cone) < -SLACK_M:
+        if worst(world, p, feature, tool, world.guard_m, cone) < -slack_m:
             return False
         last[:] = joints
     return True
@@ -93,6 +95,7 @@ def go_round(
     end_m: float,
     near: FloatArray,
     cone: bool,
+    slack_m: float,
     by: FloatArray,
 ) -> bool:
     """The direction (``by``, ``(3,)``, filled) by which the way is shortest of those that are clear; false if none."""
@@ -107,9 +110,9 @@ def go_round(
             continue
         if worst(world, p, feature, tool, world.guard_m, cone) < 0.0:
             continue
-        if not clear(world, feature, tool, start, start_m, middle, world.distance_m, near, cone):
+        if not clear(world, feature, tool, start, start_m, middle, world.distance_m, near, cone, slack_m):
             continue
-        if clear(world, feature, tool, middle, world.distance_m, end, end_m, joints, cone):
+        if clear(world, feature, tool, middle, world.distance_m, end, end_m, joints, cone, slack_m):
             best = length
             by[:] = middle
     return best < math.inf
