@@ -37,6 +37,7 @@ class GazeConfig(Section):
     cone_deg: Annotated[
         NotNegative, Field(lt=90, description="kept from the tool's axis, either way, where the rules let it")
     ] = 45.0
+    wrist_deg: Annotated[NotNegative, Field(description="kept from the wrist's limits where the pose is fitted")] = 5.0
     way_share: Annotated[float, Field(gt=0, lt=1, description="of the joints' accelerations, for ways round")] = 0.5
     fastest_m_s: Annotated[Positive, Field(description="on such ways")] = 0.2
 
@@ -47,8 +48,6 @@ FARTHEST_M = 1e3
 GOAL = 1 / np.array([5e-3, 2e-3, 5e-4, 1e-1, 1.0, 3e-4, 3e-3])
 WAY = 1 / np.array([5e-3, 2e-3, 5e-4, 1e-1, 1.0, np.inf, np.inf])
 STEP = 1 / np.array([2e-4, 5e-4, 1e-3, np.inf, 1.0, np.inf, np.inf])
-# Of the margin, this is for goals alone, so that steps are not held up at the border where goals lie.
-GOALS_OWN_M = 0.001
 
 
 class Gaze(ViewpointTracker):
@@ -76,10 +75,11 @@ class Gaze(ViewpointTracker):
         self._world = make_world(
             scene,
             margin_m=margin,
-            guard_m=max(margin - GOALS_OWN_M, 0.0),
+            guard_m=config.margin_m / 2,
             pole_rad=math.radians(config.pole_deg),
             above_rad=math.radians(config.above_deg),
             cone_rad=math.radians(config.cone_deg),
+            wrist_rad=math.radians(config.wrist_deg),
         )
         self._options = np.array([
             config.filter_gain, config.normal_gain, config.feed_forward, config.patience_rad, config.way_share,

@@ -52,9 +52,7 @@ def reachable(limits: FloatArray, setpoint: FloatArray, velocity: FloatArray, dt
 
 
 @compiled(makes_arrays=True, calls="viewpoint")
-def predict(
-    motion: FloatArray, world: World, feature: FloatArray, later: FloatArray, normal: FloatArray
-) -> None:
+def predict(motion: FloatArray, world: World, feature: FloatArray, later: FloatArray, normal: FloatArray) -> None:
     """The feature when the joints are at the set point, and after the next step; and the normal then, a unit vector."""
     length = 0.0
     for k in range(3):
@@ -210,7 +208,7 @@ def advance(
     view[:3] = out[:3]
     bounds = world.limits[:2].copy()
     bounds[0, :3] = bounds[1, :3] = out[:3]
-    if met:
+    if met and free:
         view[3:] = goal[3:]
     else:
         missed = fit(

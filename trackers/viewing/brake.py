@@ -37,9 +37,7 @@ def standing(world: World, p: FloatArray) -> float:
 
 
 @compiled(makes_arrays=True, calls="viewpoint")
-def least(
-    world: World, setpoint: FloatArray, joints: FloatArray, target: FloatArray, enough_m: float
-) -> float:
+def least(world: World, setpoint: FloatArray, joints: FloatArray, target: FloatArray, enough_m: float) -> float:
     """The smallest clearance of floor and zone while a step is taken and the arm then brakes.
 
     Args:
@@ -77,9 +75,7 @@ def least(
 
 
 @compiled(makes_arrays=True, calls="viewpoint")
-def secure(
-    world: World, setpoint: FloatArray, velocity: FloatArray, joints: FloatArray, target: FloatArray
-) -> bool:
+def secure(world: World, setpoint: FloatArray, velocity: FloatArray, joints: FloatArray, target: FloatArray) -> bool:
     """Bring a step so near to braking that the arm can be brought to rest after it within floor and zone.
 
     Args:

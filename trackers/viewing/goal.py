@@ -20,6 +20,7 @@ BETTER = 0.85
 # A start is fitted so many times longer than the goal, which is nearly there.
 LONGER = 3
 VERTICAL = 1e-6
+ROLL = 3
 
 
 @compiled(makes_arrays=True, calls="viewpoint")
@@ -158,7 +159,13 @@ def seek(
         if worst(world, p, feature, tool, world.margin_m, True) >= 0.0:
             goal[:] = joints
             return True
-    lower, upper = world.limits[LOWER], world.limits[UPPER]
+    lower, upper = world.inner[LOWER], world.inner[UPPER]
+    for joint in range(6):
+        goal[joint] = min(upper[joint], max(lower[joint], goal[joint]))
+    # The turn of the roll that is nearest, if the joint has it.
+    turned = goal[ROLL] + 2 * math.pi * round((near[ROLL] - goal[ROLL]) / (2 * math.pi))
+    if lower[ROLL] <= turned <= upper[ROLL]:
+        goal[ROLL] = turned
     cost = fit(world, goal, lower, upper, feature, normal, tool, weights, iterations)
     if len(world.starts) == 0:
         return False
@@ -173,6 +180,8 @@ def seek(
         return False
     if worst(world, p, feature, tool, world.margin_m, True) < 0.0:
         return False
+    for joint in range(6):
+        joints[joint] = min(upper[joint], max(lower[joint], joints[joint]))
     if fit(world, joints, lower, upper, feature, normal, tool, weights, LONGER * iterations) < BETTER * cost:
         goal[:] = joints
     return False

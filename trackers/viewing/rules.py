@@ -79,9 +79,7 @@ def clearances(
 
 
 @compiled(makes_arrays=True)
-def worst(
-    world: World, p: FloatArray, feature: FloatArray, tool: FloatArray, margin_m: float, cone: bool
-) -> float:
+def worst(world: World, p: FloatArray, feature: FloatArray, tool: FloatArray, margin_m: float, cone: bool) -> float:
     """The least clearance of all rules, metres, floor, zone and sphere less a margin; the cone's too if told."""
     c, G = np.empty(RULES), np.empty((RULES, 3))
     clearances(world, p, feature, tool, best_face(world, p), c, G)

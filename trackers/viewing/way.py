@@ -78,7 +78,7 @@ def clear(
             u[k] = math.cos(share * angle) * start[k] + math.sin(share * angle) * across[k]
         if look(world, feature, u, start_m + share * (end_m - start_m), last, p, joints) < -SLACK_RAD:
             return False
-        if worst(world, p, feature, tool, world.guard_m, cone) < -slack_m:
+        if worst(world, p, feature, tool, world.margin_m, cone) < -slack_m:
             return False
         last[:] = joints
     return True
@@ -108,7 +108,7 @@ def go_round(
             continue
         if look(world, feature, middle, world.distance_m, near, p, joints) < 0.0:
             continue
-        if worst(world, p, feature, tool, world.guard_m, cone) < 0.0:
+        if worst(world, p, feature, tool, world.margin_m, cone) < 0.0:
             continue
         if not clear(world, feature, tool, start, start_m, middle, world.distance_m, near, cone, slack_m):
             continue

@@ -20,6 +20,7 @@ class World(NamedTuple):
         arm: ``(3,)`` of the kinematics.
         reach_m: From tool to camera.
         limits: ``(4, 6)`` lower and upper joint limits, largest velocities and accelerations.
+        inner: ``(2, 6)`` joint limits of fitted goals: near the wrist's own, roll and wrist must turn fast for little.
         up: ``(3,)``.
         side: ``(3,)`` the preferred side, or zero where there is none.
         floor: ``(4,)`` normal and offset.
@@ -40,6 +41,7 @@ class World(NamedTuple):
     arm: FloatArray
     reach_m: float
     limits: FloatArray
+    inner: FloatArray
     up: FloatArray
     side: FloatArray
     floor: FloatArray
@@ -60,7 +62,14 @@ DIRECTIONS = 96
 
 
 def make_world(
-    scene: ViewpointScene, *, margin_m: float, guard_m: float, pole_rad: float, above_rad: float, cone_rad: float
+    scene: ViewpointScene,
+    *,
+    margin_m: float,
+    guard_m: float,
+    pole_rad: float,
+    above_rad: float,
+    cone_rad: float,
+    wrist_rad: float,
 ) -> World:
     """The rules of a scene, brought into the arm's frame.
 
@@ -72,6 +81,7 @@ def make_world(
         above_rad: Angle by which the camera stays above the feature's level where there is a preferred side: looking up,
             its y axis points to the wrong side.
         cone_rad: Angle kept from the tool's axis.
+        wrist_rad: Angle that fitted goals keep from the wrist's limits.
     """
     arm = scene.arm
     rotation, base = scene.T_world_base[:3, :3], scene.T_world_base[:3, 3]
@@ -82,10 +92,12 @@ def make_world(
     inside = (directions[:, 2] < math.cos(2 * pole_rad)) & (directions[:, 2] > (0.05 if sided else -0.7))
     directions = directions[inside & ((directions @ side > 2 * math.sin(pole_rad)) | (not sided))]
     # A plane n . p = o of the world is (R' n) . q = o - n . t in the arm's frame.
+    spare = np.minimum(wrist_rad * np.array([0.0, 0.0, 0.0, 0.0, 1.0, 1.0]), (arm.upper - arm.lower) / 4)
     return World(
         arm=arm.packed,
         reach_m=float(arm.camera_m),
         limits=np.array([arm.lower, arm.upper, arm.velocity, arm.acceleration]),
+        inner=np.array([arm.lower + spare, arm.upper - spare]),
         up=np.ascontiguousarray(rotation.T @ np.array([0.0, 0.0, 1.0])),
         side=np.ascontiguousarray(rotation.T @ side),
         floor=np.append(rotation.T @ floor[:3], floor[3] - floor[:3] @ base),
