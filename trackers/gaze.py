@@ -15,12 +15,14 @@ from surgbench.trackers.viewing.world import make_world
 from surgbench.viewpoint.contract import ViewCommand, ViewpointObservation, ViewpointScene, ViewpointTracker
 
 
+Angle = Annotated[float, Field(ge=0, lt=90)]
+
+
 class GazeConfig(Section):
     """Options."""
 
     filter_gain: Annotated[float, Field(gt=0, le=1, description="alpha of the filter of the feature's motion")] = 0.5
     normal_gain: Annotated[float, Field(gt=0, le=1, description="the same for the feature's normal")] = 0.5
-    feed_forward: Annotated[float, Field(ge=0, le=1, description="share of the goal's velocity counted on")] = 0.3
     patience_rad: Annotated[
         Positive, Field(description="so far may roll and wrist be behind while the other joints go at half their pace")
     ] = 0.03
@@ -34,11 +36,12 @@ class GazeConfig(Section):
     above_deg: Annotated[
         NotNegative, Field(description="by which the camera stays above the feature: looking up is the wrong side")
     ] = 1.0
-    cone_deg: Annotated[
-        NotNegative, Field(lt=90, description="kept from the tool's axis, either way, where the rules let it")
-    ] = 45.0
+    behind_deg: Annotated[
+        tuple[Angle, Angle],
+        Field(description="kept from the tool's axis, either way, in the ring's plane and towards its normal"),
+    ] = (60.0, 35.0)
     wrist_deg: Annotated[NotNegative, Field(description="kept from the wrist's limits where the pose is fitted")] = 5.0
-    way_share: Annotated[float, Field(gt=0, lt=1, description="of the joints' accelerations, for ways round")] = 0.5
+    way_share: Annotated[float, Field(gt=0, lt=1, description="of the joints' accelerations, for ways round")] = 0.7
     fastest_m_s: Annotated[Positive, Field(description="on such ways")] = 0.2
 
 
@@ -78,12 +81,11 @@ class Gaze(ViewpointTracker):
             guard_m=config.margin_m / 2,
             pole_rad=math.radians(config.pole_deg),
             above_rad=math.radians(config.above_deg),
-            cone_rad=math.radians(config.cone_deg),
+            cone_rad=np.radians(config.behind_deg),
             wrist_rad=math.radians(config.wrist_deg),
         )
         self._options = np.array([
-            config.filter_gain, config.normal_gain, config.feed_forward, config.patience_rad, config.way_share,
-            config.fastest_m_s,
+            config.filter_gain, config.normal_gain, config.patience_rad, config.way_share, config.fastest_m_s,
         ])  # fmt: skip
         self._iterations = np.array([config.goal_iterations, config.step_iterations], dtype=np.float64)
         self._motion: FloatArray | None = None

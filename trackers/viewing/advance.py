@@ -20,7 +20,7 @@ from surgbench.trackers.viewing.world import ACCELERATION, LOWER, UPPER, VELOCIT
 
 AT_ONCE, LATER, FITTED = range(3)
 # Where the numbers of ``options`` stand.
-FILTER_GAIN, NORMAL_GAIN, FEED_FORWARD, PATIENCE, SHARE, FASTEST = range(6)
+FILTER_GAIN, NORMAL_GAIN, PATIENCE, SHARE, FASTEST = range(5)
 # Of ``memory``: whether there is a way round, and the direction it goes by; steps since it was looked for; and the
 # velocity with which the camera should go round the feature.
 ROUND, TRIED, VELOCITY_OF_WAY = 0, 4, 5
@@ -120,8 +120,8 @@ def advance(
 
     Args:
         world: Arm and rules.
-        options: ``(6,)``: the two filter gains, the share fed forward, by how much roll and wrist are behind when the
-            others go at half their pace, the share of the accelerations for the way, and the largest speed on it.
+        options: ``(5,)``: the two filter gains, by how much roll and wrist are behind when the others go at half their
+            pace, the share of the accelerations for the way, and the largest speed on it.
         goal_weights: ``(7,)``.
         way_weights: ``(7,)``.
         step_weights: ``(7,)``.
@@ -143,7 +143,8 @@ def advance(
     dt = world.dt_s
     track(pose[:3, 3].copy(), options[FILTER_GAIN], dt, motion[0], motion[1])
     track(pose[:3, 1].copy(), options[NORMAL_GAIN], dt, motion[2], motion[3])
-    feature, later, normal, tool = np.empty(3), np.empty(3), np.empty(3), pose[:3, 2].copy()
+    feature, later, normal, tool = np.empty(3), np.empty(3), np.empty(3), np.empty((2, 3))
+    tool[0], tool[1] = pose[:3, 2], pose[:3, 1]
     predict(motion, world, feature, later, normal)
     free = seek(
         world, later, normal, tool, goal_weights, int(iterations[0]), index, setpoint, goal

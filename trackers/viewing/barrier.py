@@ -47,7 +47,7 @@ def barriers(
         world: Arm and rules.
         joints: ``(6,)``.
         feature: ``(3,)`` at the same moment.
-        tool: ``(3,)``.
+        tool: ``(2, 3)``.
         face: Of the zone.
         h: ``(4,)``, filled.
         g: ``(4, 6)``, filled.
@@ -117,7 +117,7 @@ def guard(
         velocity: ``(6,)`` of it.
         feature: ``(3,)`` when the joints are at the set point.
         later: ``(3,)`` when they are where the step ends.
-        tool: ``(3,)``.
+        tool: ``(2, 3)``.
         box: ``(2, 6)`` what can be reached.
         weights: ``(7,)`` of the view's residuals.
         turn: One over the tolerance of the camera's place, 1/m.

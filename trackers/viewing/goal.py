@@ -102,7 +102,7 @@ def look_nearly(
         feature: ``(3,)``.
         direction: ``(3,)``.
         distance_m: From the feature.
-        tool: ``(3,)``.
+        tool: ``(2, 3)``.
         weights: ``(7,)`` of the residuals.
         iterations: Of the fit.
         near: ``(6,)`` where that begins.
@@ -144,7 +144,7 @@ def seek(
         world: Arm and rules.
         feature: ``(3,)``.
         normal: ``(3,)``.
-        tool: ``(3,)``.
+        tool: ``(2, 3)``.
         weights: ``(7,)`` of the residuals.
         iterations: Of the fit from the last goal.
         turn: Which of the world's starts is tried besides; all come round.
@@ -156,7 +156,7 @@ def seek(
     """
     p, joints = np.empty(3), np.empty(6)
     if look(world, feature, normal, world.distance_m, near, p, joints) >= 0.0:
-        if worst(world, p, feature, tool, world.margin_m, True) >= 0.0:
+        if worst(world, p, feature, tool, world.margin_m)[0] >= 0.0:
             goal[:] = joints
             return True
     lower, upper = world.inner[LOWER], world.inner[UPPER]
@@ -178,7 +178,7 @@ def seek(
         return False
     if look(world, feature, start, world.distance_m, near, p, joints) < 0.0:
         return False
-    if worst(world, p, feature, tool, world.margin_m, True) < 0.0:
+    if min(worst(world, p, feature, tool, world.margin_m)) < 0.0:
         return False
     for joint in range(6):
         joints[joint] = min(upper[joint], max(lower[joint], joints[joint]))

@@ -54,7 +54,7 @@ def pace(
         speed_m_s: Along the way, now.
         share: Of the accelerations.
         patience: Share of the speed, where roll and wrist are behind.
-        tool: ``(3,)``.
+        tool: ``(2, 3)``.
         weights: ``(7,)``, for places that the joints cannot quite reach, as what follows.
         iterations: Of the fit there.
         along: ``(2,)``, filled: metres along the way after the step, and the whole arc's length.

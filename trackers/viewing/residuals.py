@@ -107,7 +107,7 @@ def residuals(
         joints: ``(6,)``.
         feature: ``(3,)``, base frame as all that follows.
         normal: ``(3,)`` its normal, a unit vector.
-        tool: ``(3,)`` unit vector along the tool that holds it.
+        tool: ``(2, 3)`` unit vector along the tool that holds it.
         weights: ``(7,)``.
         r: ``(15,)``, filled.
         J: ``(15, 6)``, filled.

@@ -58,13 +58,13 @@ def clear(
     Args:
         world: Arm and rules.
         feature: ``(3,)``.
-        tool: ``(3,)``.
+        tool: ``(2, 3)``.
         start: ``(3,)`` unit vector from the feature; the place itself is not looked at.
         start_m: Distance there.
         end: ``(3,)`` likewise, not looked at either.
         end_m: There.
         near: ``(6,)`` joints at the start.
-        cone: Also out of the tool's cone.
+        cone: Also not through the tool's cone.
         slack_m: So far beyond a rule the way may go.
     """
     across, u, p, joints, last = np.empty(3), np.empty(3), np.empty(3), np.empty(6), near.copy()
@@ -72,16 +72,35 @@ def clear(
     if angle > math.acos(OPPOSITE):
         return False
     looks = min(int(angle / LOOK_RAD) + 1, LOOKS)
+    for k in range(3):
+        p[k] = feature[k] + end_m * end[k]
+    at_end = worst(world, p, feature, tool, world.margin_m)[1]
+    for k in range(3):
+        p[k] = feature[k] + start_m * start[k]
+    before = worst(world, p, feature, tool, world.margin_m)[1]
+    leaving, entered = before < 0.0, False
     for n in range(1, looks):
         share = n / looks
         for k in range(3):
             u[k] = math.cos(share * angle) * start[k] + math.sin(share * angle) * across[k]
         if look(world, feature, u, start_m + share * (end_m - start_m), last, p, joints) < -SLACK_RAD:
             return False
-        if worst(world, p, feature, tool, world.margin_m, cone) < -slack_m:
+        rules, aside = worst(world, p, feature, tool, world.margin_m)
+        if rules < -slack_m:
             return False
         last[:] = joints
-    return True
+        if not cone:
+            continue
+        # Out of the cone if it starts in there, into it if it ends there, but not through.
+        if leaving and aside < before - slack_m and aside < at_end - slack_m:
+            return False
+        leaving = leaving and aside < 0.0
+        if not leaving and aside < -slack_m:
+            entered = True
+        if entered and (aside > 0.0 or aside < at_end - abs(slack_m)):
+            return False
+        before = aside
+    return not (entered and at_end >= 0.0)
 
 
 @compiled(makes_arrays=True, calls="viewpoint")
@@ -108,7 +127,8 @@ def go_round(
             continue
         if look(world, feature, middle, world.distance_m, near, p, joints) < 0.0:
             continue
-        if worst(world, p, feature, tool, world.margin_m, cone) < 0.0:
+        rules, aside = worst(world, p, feature, tool, world.margin_m)
+        if rules < 0.0 or (cone and aside < 0.0):
             continue
         if not clear(world, feature, tool, start, start_m, middle, world.distance_m, near, cone, slack_m):
             continue

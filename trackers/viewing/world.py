@@ -31,7 +31,8 @@ class World(NamedTuple):
         guard_m: Kept by every step, less than that.
         sine: ``(4,)``: of the angles kept from the side's plane, above the feature, and of the camera's y axis from the
             wrong side; and the cosine of the cap below the pole.
-        cone: Cosine of the angle kept from the tool's axis.
+        cone: ``(2,)`` tangents of the angles kept from the tool's axis, in the ring's plane and towards its normal; 0 for
+            none.
         dt_s: Period.
         lag_s: Of the joints.
         starts: ``(n, 3)`` unit vectors from the feature, all over the side on which the camera may be: where fits begin,
@@ -51,7 +52,7 @@ class World(NamedTuple):
     margin_m: float
     guard_m: float
     sine: FloatArray
-    cone: float
+    cone: FloatArray
     dt_s: float
     lag_s: float
     starts: FloatArray
@@ -68,7 +69,7 @@ def make_world(
     guard_m: float,
     pole_rad: float,
     above_rad: float,
-    cone_rad: float,
+    cone_rad: FloatArray,
     wrist_rad: float,
 ) -> World:
     """The rules of a scene, brought into the arm's frame.
@@ -80,7 +81,7 @@ def make_world(
         pole_rad: Angle kept from the vertical through the feature and from the side's plane.
         above_rad: Angle by which the camera stays above the feature's level where there is a preferred side: looking up,
             its y axis points to the wrong side.
-        cone_rad: Angle kept from the tool's axis.
+        cone_rad: ``(2,)`` angles kept from the tool's axis, in the ring's plane and towards its normal.
         wrist_rad: Angle that fitted goals keep from the wrist's limits.
     """
     arm = scene.arm
@@ -109,7 +110,7 @@ def make_world(
         sine=np.array([
             math.sin(pole_rad), math.sin(above_rad) if sided else -1.0, math.sin(above_rad) / 2, math.cos(pole_rad),
         ]),
-        cone=math.cos(cone_rad),
+        cone=np.tan(np.asarray(cone_rad, dtype=np.float64)),
         dt_s=float(scene.dt_s),
         lag_s=float(scene.servo_lag_s),
         starts=np.ascontiguousarray(directions @ rotation),
