@@ -32,14 +32,15 @@ class GazeConfig(Section):
     registration_margin: Annotated[
         NotNegative, Field(description="and so many times what the registration says of its error")
     ] = 1.0
-    pole_deg: Annotated[NotNegative, Field(description="kept from straight above, where no direction is level")] = 3.0
+    pole_deg: Annotated[NotNegative, Field(description="kept from straight above, where no direction is level")] = 10.0
+    side_deg: Annotated[NotNegative, Field(description="kept from the plane of the preferred side")] = 3.0
     above_deg: Annotated[
         NotNegative, Field(description="by which the camera stays above the feature: looking up is the wrong side")
     ] = 1.0
     behind_deg: Annotated[
         tuple[Angle, Angle],
         Field(description="kept from the tool's axis, either way, in the ring's plane and towards its normal"),
-    ] = (60.0, 35.0)
+    ] = (60.0, 45.0)
     wrist_deg: Annotated[NotNegative, Field(description="kept from the wrist's limits where the pose is fitted")] = 5.0
     way_share: Annotated[float, Field(gt=0, lt=1, description="of the joints' accelerations, for ways round")] = 0.7
     fastest_m_s: Annotated[Positive, Field(description="on such ways")] = 0.2
@@ -80,6 +81,7 @@ class Gaze(ViewpointTracker):
             margin_m=margin,
             guard_m=config.margin_m / 2,
             pole_rad=math.radians(config.pole_deg),
+            side_rad=math.radians(config.side_deg),
             above_rad=math.radians(config.above_deg),
             cone_rad=np.radians(config.behind_deg),
             wrist_rad=math.radians(config.wrist_deg),

@@ -32,6 +32,8 @@ TURN = 1 / 5e-3
 # Beyond this cost of a view another turn of roll and wrist is tried; a way shorter than this is never gone round.
 LOST, BETTER = 2e4, 0.8
 SHORT_RAD = 0.3
+# However far roll and wrist are behind, the others go on at this share of their pace.
+LEAST_PACE = 0.2
 # So much a way may be beyond a rule, and so much it must be within once there is another way.
 SURE_M = 1e-3
 
@@ -178,7 +180,7 @@ def advance(
     behind = 0.0
     for joint in range(3, 6):
         behind = max(behind, abs(last[joint] - setpoint[joint]))
-    patience = 1.0 / (1.0 + (behind / options[PATIENCE]) ** 2)
+    patience = max(1.0 / (1.0 + (behind / options[PATIENCE]) ** 2), LEAST_PACE)
     along = np.empty(2)
     speed = pace(
         world, later, start, start_m, end, end_m, further, virtual, max(speed, 0.0), options[SHARE], patience, tool,

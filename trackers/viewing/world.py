@@ -68,6 +68,7 @@ def make_world(
     margin_m: float,
     guard_m: float,
     pole_rad: float,
+    side_rad: float,
     above_rad: float,
     cone_rad: FloatArray,
     wrist_rad: float,
@@ -78,7 +79,8 @@ def make_world(
         scene: The trial's constants.
         margin_m: As :attr:`World.margin_m`.
         guard_m: As :attr:`World.guard_m`.
-        pole_rad: Angle kept from the vertical through the feature and from the side's plane.
+        pole_rad: Angle kept from the vertical through the feature.
+        side_rad: Angle kept from the side's plane.
         above_rad: Angle by which the camera stays above the feature's level where there is a preferred side: looking up,
             its y axis points to the wrong side.
         cone_rad: ``(2,)`` angles kept from the tool's axis, in the ring's plane and towards its normal.
@@ -90,8 +92,8 @@ def make_world(
     side = np.array(scene.workspace.preferred_side, dtype=np.float64)
     sided = bool(side.any())
     directions = evenly(DIRECTIONS)
-    inside = (directions[:, 2] < math.cos(2 * pole_rad)) & (directions[:, 2] > (0.05 if sided else -0.7))
-    directions = directions[inside & ((directions @ side > 2 * math.sin(pole_rad)) | (not sided))]
+    inside = (directions[:, 2] < math.cos(pole_rad)) & (directions[:, 2] > (0.05 if sided else -0.7))
+    directions = directions[inside & ((directions @ side > math.sin(side_rad)) | (not sided))]
     # A plane n . p = o of the world is (R' n) . q = o - n . t in the arm's frame.
     spare = np.minimum(wrist_rad * np.array([0.0, 0.0, 0.0, 0.0, 1.0, 1.0]), (arm.upper - arm.lower) / 4)
     return World(
@@ -108,7 +110,7 @@ def make_world(
         margin_m=margin_m,
         guard_m=guard_m,
         sine=np.array([
-            math.sin(pole_rad), math.sin(above_rad) if sided else -1.0, math.sin(above_rad) / 2, math.cos(pole_rad),
+            math.sin(side_rad), math.sin(above_rad) if sided else -1.0, math.sin(above_rad) / 2, math.cos(pole_rad),
         ]),
         cone=np.tan(np.asarray(cone_rad, dtype=np.float64)),
         dt_s=float(scene.dt_s),
