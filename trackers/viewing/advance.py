@@ -88,9 +88,11 @@ def direct(
         memory[ROUND], memory[TRIED] = 0.0, 0.0
         return
     memory[TRIED] += 1.0
-    if memory[TRIED] < TRY_AGAIN and (
-        not going or clear(world, feature, tool, start, start_m, by, world.distance_m, near, False, SURE_M)
-    ):
+    going = going and clear(world, feature, tool, start, start_m, by, world.distance_m, near, False, SURE_M)
+    if memory[TRIED] < TRY_AGAIN and (going or memory[ROUND] == 0.0):
+        return
+    if going and clear(world, feature, tool, by, world.distance_m, end, end_m, near, False, SURE_M):
+        memory[TRIED] = 0.0
         return
     memory[TRIED] = 0.0
     found = go_round(world, feature, tool, start, start_m, end, end_m, near, True, SURE_M, by)

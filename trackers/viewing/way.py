@@ -23,6 +23,9 @@ LOOK_RAD, LOOKS = 0.12, 24
 OPPOSITE = -0.98
 # What counts as within the rules on the way; the goal itself may lie on a border.
 SLACK_RAD = 0.02
+# From one such place to the next roll and wrist may turn so far: where they need more, they pass a place outside their
+# limits, or one where they turn too fast to follow.
+TURN_RAD = 1.0
 
 
 @compiled
@@ -88,6 +91,9 @@ def clear(
         rules, aside = worst(world, p, feature, tool, world.margin_m)
         if rules < -slack_m:
             return False
+        for joint in range(3, 6):
+            if abs(joints[joint] - last[joint]) > TURN_RAD:
+                return False
         last[:] = joints
         if not cone:
             continue
