@@ -9,52 +9,33 @@ import numpy as np
 from surgbench.compiled import compiled
 from surgbench.geometry import FloatArray
 from surgbench.trackers.viewing.approach import chase, track
+from surgbench.trackers.viewing.barrier import guard
+from surgbench.trackers.viewing.brake import secure
 from surgbench.trackers.viewing.fit import fit
-from surgbench.viewpoint.kinematics import inverse
+from surgbench.trackers.viewing.goal import look_nearly, place, seek
+from surgbench.trackers.viewing.pace import pace
+from surgbench.trackers.viewing.residuals import DISTANCE, DIRECTION, HUBER, RULE, SOFT
+from surgbench.trackers.viewing.way import arc, clear, go_round
+from surgbench.trackers.viewing.world import ACCELERATION, LOWER, UPPER, VELOCITY, World
 
 AT_ONCE, LATER, FITTED = range(3)
-
-
-@compiled(makes_arrays=True, calls="viewpoint")
-def level_pose(up: FloatArray, position: FloatArray, axis: FloatArray, reach_m: float, pose: FloatArray) -> bool:
-    """The tool's pose for a level camera that looks along ``axis``; false where that is straight up or down."""
-    length = 0.0
-    for k in range(3):
-        i, j = (k + 1) % 3, (k + 2) % 3
-        pose[k, 0] = up[i] * axis[j] - up[j] * axis[i]
-        length += pose[k, 0] ** 2
-    length = math.sqrt(length)
-    if length < 1e-6:
-        return False
-    for k in range(3):
-        pose[k, 0] /= length
-        pose[k, 2] = axis[k]
-        pose[k, 3] = position[k] - reach_m * axis[k]
-    for k in range(3):
-        i, j = (k + 1) % 3, (k + 2) % 3
-        pose[k, 1] = pose[i, 2] * pose[j, 0] - pose[j, 2] * pose[i, 0]
-    return True
-
-
-@compiled
-def allowed(position: FloatArray, feature: FloatArray, rules: FloatArray, faces: FloatArray) -> bool:
-    """Whether a camera's place respects floor, side, pole and zone, margins included."""
-    height = side = rise = length = 0.0
-    for k in range(3):
-        height += rules[1, k] * position[k]
-        side += rules[2, k] * (position[k] - feature[k])
-        rise += rules[0, k] * (position[k] - feature[k])
-        length += (position[k] - feature[k]) ** 2
-    length = math.sqrt(length)
-    if height < rules[1, 3] or side < rules[2, 3] * length or rise > rules[0, 3] * length:
-        return False
-    for face in range(len(faces)):
-        behind = rules[3, 3] - faces[face, 3]
-        for k in range(3):
-            behind += faces[face, k] * position[k]
-        if behind < 0.0:
-            return True
-    return False
+# Where the numbers of ``options`` stand.
+FILTER_GAIN, NORMAL_GAIN, PATIENCE, SHARE, FASTEST = range(5)
+# Of ``memory``: whether there is a way round, and the direction it goes by; steps since it was looked for; and the
+# velocity with which the camera should go round the feature.
+ROUND, TRIED, VELOCITY_OF_WAY = 0, 4, 5
+MEMORY = 8
+# After so many steps a way round is looked for again.
+TRY_AGAIN = 8
+# One over the tolerance of the camera's place, where a step has to give something up.
+TURN = 1 / 5e-3
+# Beyond this cost of a view another turn of roll and wrist is tried; a way shorter than this is never gone round.
+LOST, BETTER = 2e4, 0.8
+SHORT_RAD = 0.3
+# However far roll and wrist are behind, the others go on at this share of their pace.
+LEAST_PACE = 0.2
+# So much a way may be beyond a rule, and so much it must be within once there is another way.
+SURE_M = 1e-3
 
 
 @compiled
@@ -73,20 +54,68 @@ def reachable(limits: FloatArray, setpoint: FloatArray, velocity: FloatArray, dt
 
 
 @compiled(makes_arrays=True, calls="viewpoint")
+def predict(motion: FloatArray, world: World, feature: FloatArray, later: FloatArray, normal: FloatArray) -> None:
+    """The feature when the joints are at the set point, and after the next step; and the normal then, a unit vector."""
+    length = 0.0
+    for k in range(3):
+        feature[k] = motion[0, k] + world.lag_s * motion[1, k]
+        later[k] = feature[k] + world.dt_s * motion[1, k]
+        normal[k] = motion[2, k] + (world.lag_s + world.dt_s) * motion[3, k]
+        length += normal[k] ** 2
+    length = math.sqrt(length)
+    for k in range(3):
+        normal[k] = normal[k] / length if length > 1e-9 else motion[2, k]
+
+
+@compiled(makes_arrays=True, calls="viewpoint")
+def direct(
+    world: World,
+    feature: FloatArray,
+    tool: FloatArray,
+    start: FloatArray,
+    start_m: float,
+    end: FloatArray,
+    end_m: float,
+    near: FloatArray,
+    memory: FloatArray,
+) -> None:
+    """Decide on the way: straight, or round by a direction that ``memory`` (``(8,)``) keeps."""
+    by = memory[1:4]
+    going = memory[ROUND] > 0.0
+    slack_m = -SURE_M if going else SURE_M
+    short = arc(start, end, np.empty(3)) < SHORT_RAD
+    if short or clear(world, feature, tool, start, start_m, end, end_m, near, True, slack_m):
+        memory[ROUND], memory[TRIED] = 0.0, 0.0
+        return
+    memory[TRIED] += 1.0
+    going = going and clear(world, feature, tool, start, start_m, by, world.distance_m, near, False, SURE_M)
+    if memory[TRIED] < TRY_AGAIN and (going or memory[ROUND] == 0.0):
+        return
+    if going and clear(world, feature, tool, by, world.distance_m, end, end_m, near, False, SURE_M):
+        memory[TRIED] = 0.0
+        return
+    memory[TRIED] = 0.0
+    found = go_round(world, feature, tool, start, start_m, end, end_m, near, True, SURE_M, by)
+    if not found and not clear(world, feature, tool, start, start_m, end, end_m, near, False, slack_m):
+        found = go_round(world, feature, tool, start, start_m, end, end_m, near, False, SURE_M, by)
+    memory[ROUND] = 1.0 if found else 0.0
+
+
+@compiled(makes_arrays=True, calls="viewpoint")
 def advance(
-    arm: FloatArray,
-    reach_m: float,
-    limits: FloatArray,
+    world: World,
     options: FloatArray,
     goal_weights: FloatArray,
+    way_weights: FloatArray,
     step_weights: FloatArray,
     iterations: FloatArray,
-    rules: FloatArray,
-    faces: FloatArray,
+    index: int,
     pose: FloatArray,
     motion: FloatArray,
     last: FloatArray,
     goal: FloatArray,
+    memory: FloatArray,
+    joints: FloatArray,
     setpoint: FloatArray,
     velocity: FloatArray,
     out: FloatArray,
@@ -94,20 +123,20 @@ def advance(
     """One step; everything in the frame of the arm's base.
 
     Args:
-        arm: ``(3,)`` of the kinematics.
-        reach_m: From tool to camera.
-        limits: ``(4, 6)`` lower and upper joint limits, largest velocities and accelerations.
-        options: ``(7,)`` period, time ahead, distance, the two filter gains, the share fed forward, and by how
-            much roll and wrist are behind when the others go at half their pace.
-        goal_weights: ``(6,)``.
-        step_weights: ``(6,)``.
+        world: Arm and rules.
+        options: ``(5,)``: the two filter gains, by how much roll and wrist are behind when the others go at half their
+            pace, the share of the accelerations for the way, and the largest speed on it.
+        goal_weights: ``(7,)``.
+        way_weights: ``(7,)``.
+        step_weights: ``(7,)``.
         iterations: ``(2,)`` of the two fits.
-        rules: ``(4, 4)``, as :func:`surgbench.trackers.viewing.fit.residuals` has them.
-        faces: ``(n, 4)``.
+        index: Of the step.
         pose: ``(4, 4)`` the feature as measured.
         motion: ``(4, 3)`` filtered feature and its velocity, normal and its velocity.
-        last: ``(6,)`` what the joints followed in the last step, updated.
+        last: ``(6,)`` what looked at the feature in the last step, updated.
         goal: ``(6,)`` joints where the camera should be in the end; the last step's, improved.
+        memory: ``(8,)`` of the way.
+        joints: ``(6,)`` measured.
         setpoint: ``(6,)``.
         velocity: ``(6,)``.
         out: ``(6,)`` the next set point.
@@ -115,61 +144,99 @@ def advance(
     Returns:
         ``AT_ONCE`` where the naive pose can be had in this step, ``LATER``, or ``FITTED`` where it cannot be had.
     """
-    dt_s, ahead_s, distance_m = options[0], options[1], options[2]
-    track(pose[:3, 3].copy(), options[3], dt_s, motion[0], motion[1])
-    track(pose[:3, 1].copy(), options[4], dt_s, motion[2], motion[3])
-    up = rules[0, :3]
-    feature, naive, axis, tool, box = np.empty(3), np.empty(3), np.empty(3), np.empty((4, 4)), np.empty((2, 6))
-    length = 0.0
+    dt = world.dt_s
+    track(pose[:3, 3].copy(), options[FILTER_GAIN], dt, motion[0], motion[1])
+    track(pose[:3, 1].copy(), options[NORMAL_GAIN], dt, motion[2], motion[3])
+    feature, later, normal, tool = np.empty(3), np.empty(3), np.empty(3), np.empty((2, 3))
+    tool[0], tool[1] = pose[:3, 2], pose[:3, 1]
+    predict(motion, world, feature, later, normal)
+    free = seek(
+        world, later, normal, tool, goal_weights, int(iterations[0]), index, setpoint, goal
+    )  # fmt: skip
+
+    # Where the camera would be if it looked at the feature from where the slow joints are, and where it should be.
+    virtual, here, there, p = setpoint.copy(), np.empty(3), np.empty(3), np.empty(3)
+    virtual[3:] = last[3:]
+    place(world, virtual, here)
+    place(world, goal, there)
+    start_m = end_m = 0.0
     for k in range(3):
-        feature[k] = motion[0, k] + ahead_s * motion[1, k]
-        axis[k] = -motion[2, k] - ahead_s * motion[3, k]
-        length += axis[k] ** 2
-    length = math.sqrt(length)
+        start_m += (here[k] - feature[k]) ** 2
+        end_m += (there[k] - later[k]) ** 2
+    start_m, end_m = max(math.sqrt(start_m), 1e-6), max(math.sqrt(end_m), 1e-6)
+    start, end, across = np.empty(3), np.empty(3), np.empty(3)
     for k in range(3):
-        axis[k] = axis[k] / length if length > 1e-9 else -pose[k, 1]
-        naive[k] = feature[k] - distance_m * axis[k]
-    reachable(limits, setpoint, velocity, dt_s, box)
-    free = allowed(naive, feature, rules, faces) and level_pose(up, naive, axis, reach_m, tool)
-    if free:
-        inverse(arm, tool, setpoint, out)
-        for joint in range(6):
-            free = free and limits[0, joint] <= out[joint] <= limits[1, joint]
-    if free:
-        goal[:] = out
-    else:
-        fit(
-            arm, reach_m, goal, limits[0], limits[1], feature, distance_m, naive, rules, faces, goal_weights,
-            int(iterations[0]),
-        )  # fmt: skip
-    # Yaw, pitch and insertion bring the camera to its place; roll and wrist turn it to the feature on the way.
-    speed = np.empty(6)
-    for joint in range(3):
-        speed[joint] = (goal[joint] - last[joint]) / dt_s
-        if abs(speed[joint]) > limits[2, joint]:  # another goal
-            speed[:3] = 0.0
-            break
-        speed[joint] *= options[5]
-    last[:3] = goal[:3]
-    # No faster than these can follow: what they are behind by tells.
+        start[k], end[k] = (here[k] - feature[k]) / start_m, (there[k] - later[k]) / end_m
+    direct(world, later, tool, start, start_m, end, end_m, virtual, memory)
+    further = 0.0
+    if memory[ROUND] > 0.0:
+        further = world.distance_m * arc(memory[1:4], end, across)
+        end[:] = memory[1:4]
+        end_m = world.distance_m
+    angle = arc(start, end, across)
+
+    # How fast it went along the way until now, as far as that is this way, and how far it should be after the step.
+    speed = 0.0
+    for k in range(3):
+        speed += memory[VELOCITY_OF_WAY + k] * across[k]
     behind = 0.0
     for joint in range(3, 6):
         behind = max(behind, abs(last[joint] - setpoint[joint]))
-    pace = 1.0 / (1.0 + (behind / options[6]) ** 2)
-    at_once = chase(setpoint[:3], goal[:3], speed[:3], box[:, :3], limits[3, :3], dt_s, pace, out[:3])
-    view = goal.copy()
-    if not at_once:
-        view[:3], view[3:] = out[:3], last[3:]
-        bounds = limits[:2].copy()
-        bounds[0, :3] = bounds[1, :3] = out[:3]
-        fit(
-            arm, reach_m, view, bounds[0], bounds[1], feature, distance_m, naive, rules, faces, step_weights,
-            int(iterations[1]),
+    patience = max(1.0 / (1.0 + (behind / options[PATIENCE]) ** 2), LEAST_PACE)
+    along = np.empty(2)
+    speed = pace(
+        world, later, start, start_m, end, end_m, further, virtual, max(speed, 0.0), options[SHARE], patience, tool,
+        way_weights, int(iterations[0]), along,
+    )  # fmt: skip
+    moved = min(along[0], options[FASTEST] * dt)
+    for k in range(3):
+        memory[VELOCITY_OF_WAY + k] = min(speed, options[FASTEST]) * across[k]
+    share = moved / along[1] if along[1] > 1e-12 else 1.0
+    u, wanted, box = np.empty(3), np.empty(6), np.empty((2, 6))
+    for k in range(3):
+        u[k] = math.cos(share * angle) * start[k] + math.sin(share * angle) * across[k]
+    reachable(world.limits, setpoint, velocity, dt, box)
+    met = share >= 1.0 and memory[ROUND] == 0.0
+    if met:
+        wanted[:] = goal
+    else:
+        distance_m = start_m + share * (end_m - start_m)
+        look_nearly(
+            world, later, u, distance_m, tool, way_weights, int(iterations[0]), virtual, p, wanted
         )  # fmt: skip
-    for joint in range(3, 6):
-        speed[joint] = (view[joint] - last[joint]) / dt_s
-        if abs(speed[joint]) > limits[2, joint]:
-            speed[joint] = 0.0
-        last[joint] = view[joint]
-    at_once = chase(setpoint[3:], view[3:], speed[3:], box[:, 3:], limits[3, 3:], dt_s, 1.0, out[3:]) and at_once
-    return FITTED if not free else (AT_ONCE if at_once else LATER)
+    for joint in range(3):
+        out[joint] = min(box[1, joint], max(box[0, joint], wanted[joint]))
+        met = met and out[joint] == wanted[joint]
+
+    # Roll and wrist turn to the feature from there.
+    view = last.copy()
+    view[:3] = out[:3]
+    bounds = world.limits[:2].copy()
+    bounds[0, :3] = bounds[1, :3] = out[:3]
+    if met and free:
+        view[3:] = goal[3:]
+    else:
+        missed = fit(
+            world, view, bounds[0], bounds[1], later, normal, tool, step_weights, int(iterations[1])
+        )  # fmt: skip
+        if missed > LOST:
+            other = view.copy()
+            for joint in range(3, 6):
+                other[joint] = min(world.limits[UPPER, joint], max(world.limits[LOWER, joint], wanted[joint]))
+            other_missed = fit(
+                world, other, bounds[0], bounds[1], later, normal, tool, step_weights, int(iterations[1])
+            )  # fmt: skip
+            if other_missed < BETTER * missed:
+                view[:] = other
+    rate = np.empty(3)
+    for joint in range(3):
+        rate[joint] = (view[3 + joint] - last[3 + joint]) / dt
+        if abs(rate[joint]) > world.limits[VELOCITY, 3 + joint]:
+            rate[joint] = 0.0
+    last[:] = view
+    turned = chase(
+        setpoint[3:], view[3:], rate, box[:, 3:], world.limits[ACCELERATION, 3:], dt, 1.0, out[3:]
+    )  # fmt: skip
+    guarded = guard(world, setpoint, velocity, feature, later, tool, box, step_weights, TURN, out)
+    guarded = secure(world, setpoint, velocity, joints, out) or guarded
+    return FITTED if not free else (AT_ONCE if met and turned and not guarded else LATER)
