@@ -18,7 +18,7 @@ from surgbench.tasks.viewpoint.figures import Line, draw_centroids, draw_paths, 
 from surgbench.tasks.viewpoint.page import CENTROIDS_PNG, PATHS_PNG, page
 from surgbench.tasks.viewpoint.plan import ViewpointSettings
 from surgbench.tasks.viewpoint.records import ViewpointRecord
-from surgbench.tasks.viewpoint.rows import COUNTS, ERRORS, VIEWPOINT_COLUMNS, counted, stacked_pixels
+from surgbench.tasks.viewpoint.rows import COUNTS, ERRORS, VIEWPOINT_COLUMNS, counted, stacked_pixels, subsets
 from surgbench.viewpoint.optics.stereo import AUTOCAM_STEREO
 from surgbench.viewpoint.scores import naive_violations
 from surgbench.viewpoint.simulator import make_scene
@@ -47,7 +47,7 @@ def _describe(dataset: ViewpointDataset, frames: int) -> dict[str, Any]:
 
 
 def _count(record: ViewpointRecord) -> Row:
-    return {**counted(record, np.array(record.frames.asked, dtype=bool))}
+    return {**counted(record, subsets(record)["all"])}
 
 
 def _draw(definition: Definition, blocks: Sequence[BlockWork], results: Results, folder: Path) -> list[str]:
