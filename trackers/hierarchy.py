@@ -1,0 +1,170 @@
+"""A controller that keeps a strict order: limits and rules before the view, the view before level, distance and place.
+
+Kinematic control by hierarchical quadratic programs: Kanoun, Lamiraux and Wieber, *Kinematic control of redundant
+manipulators: generalizing the task-priority framework to inequality task*, IEEE Transactions on Robotics 27(4), 2011;
+Escande, Mansard and Wieber, *Hierarchical quadratic programming: fast online humanoid-robot motion generation*,
+International Journal of Robotics Research 33(7), 2014. The hierarchy is solved as the first of these has it, a program
+for each level, each by DAQP; the second's solver takes all levels at once and finds the same. Which tasks there are,
+and their order, is our choice.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, ClassVar
+
+import numpy as np
+from pydantic import Field
+
+from surgbench.config import NotNegative, Positive, Section
+from surgbench.geometry import FloatArray
+from surgbench.trackers.linearised.task import ViewTask
+from surgbench.trackers.linearised.view import DISTANCE, ERRORS, GAZE, LEVEL, PLACE, RULES, linearise
+from surgbench.viewpoint.contract import ViewCommand, ViewpointObservation, ViewpointScene, ViewpointTracker
+
+# In the order of their priority, after limits and rules.
+TASKS = (GAZE, LEVEL, DISTANCE, PLACE)
+JOINTS = 6
+# Directions in which a task changes less than this, of its largest change, are left to the tasks below. Gaze, of three
+# numbers, has two; the third is as small as its error.
+RANK = 0.05
+# On every joint, against directions that no task asks for.
+DAMPING = 1e-9
+# DAQP's word for no bound.
+NONE = 1e30
+
+
+class HierarchyConfig(Section):
+    """Options."""
+
+    filter_gain: Annotated[float, Field(gt=0, le=1, description="alpha of the filter of the feature's motion")] = 0.7
+    normal_gain: Annotated[float, Field(gt=0, le=1, description="the same for the feature's normal")] = 0.5
+    approach_s: Annotated[
+        Positive, Field(description="time constant with which errors of distance and place are brought to nothing")
+    ] = 0.15
+    acceleration_m_s2: Annotated[
+        Positive, Field(description="with which the camera counts on braking before its place and before a rule")
+    ] = 0.15
+    margin_m: Annotated[NotNegative, Field(description="kept from floor, zone, and the smallest distance")] = 0.002
+
+
+class Hierarchy(ViewpointTracker):
+    """The joints' next step by quadratic programs in strict order, no level at the cost of one above it.
+
+    1. Limits, always: position, velocity, acceleration, and being able to stop. Within them the rules: no faster
+       towards floor, zone, smallest distance or wrong side than the camera can brake.
+    2. Gaze, 3. level: their errors to nothing in this step.
+    4. Distance, 5. place: on with the feature, and nearer with a time constant, no faster than they can brake.
+    """
+
+    name: ClassVar[str] = "hierarchy"
+    summary: ClassVar[str] = "hierarchical quadratic programs on joint velocities: rules, gaze, level, distance, place"
+    requires: ClassVar[tuple[str, ...]] = ("daqp",)
+    Config = HierarchyConfig
+
+    def __init__(self, config: HierarchyConfig | None = None) -> None:
+        self._config = config or HierarchyConfig()
+
+    def reset(self, scene: ViewpointScene, joints: FloatArray, rng: np.random.Generator) -> None:
+        """Take the scene in."""
+        self._task = ViewTask(scene, self._config.filter_gain, self._config.normal_gain)
+        self._error, self._J = np.empty(ERRORS), np.empty((ERRORS, JOINTS))
+        self._depth, self._slope = np.empty(RULES), np.empty((RULES, JOINTS))
+
+    def step(self, observation: ViewpointObservation) -> ViewCommand:
+        """The next set point, and its velocity."""
+        task, setpoint = self._task, observation.setpoint
+        if not task.look(observation):
+            return ViewCommand(setpoint.copy())
+        features, places = task.ahead(np.array([task.lag_s, task.lag_s + task.dt_s]))
+        linearise(
+            task.arm, task.reach_m, setpoint, features[1], places[1], task.distance_m, task.rules, task.faces,
+            self._error, self._J, self._depth, self._slope,
+        )  # fmt: skip
+        box = task.reachable(setpoint, observation.setpoint_velocity)
+        box[0] -= setpoint
+        box[1] -= setpoint
+        wanted = -self._error
+        wanted[DISTANCE] = self._nearer(self._error[DISTANCE])
+        # The feature takes its place along; the error that was there before it moved decays.
+        carried = places[1] - places[0]
+        wanted[PLACE] = carried + self._nearer(self._error[PLACE] + carried)
+        moved = descend(box, self._slope, self._allowed(), [(self._J[rows], wanted[rows]) for rows in TASKS])
+        target = np.clip(setpoint + moved, setpoint + box[0], setpoint + box[1])
+        return ViewCommand(target, mode="servo", velocity=(target - setpoint) / task.dt_s, solver=True)
+
+    def _nearer(self, error: FloatArray) -> FloatArray:
+        """How an error should change in a step."""
+        size = float(np.linalg.norm(error))
+        if size == 0.0:
+            return -error
+        share = min(1.0, self._task.dt_s / self._config.approach_s)
+        return -error * min(share, float(self._braking(np.array([size]))[0]) / size)
+
+    def _allowed(self) -> FloatArray:
+        """``(4,)`` how much deeper each rule lets the camera go in a step: it must be able to brake before it."""
+        room = -self._config.margin_m - self._depth
+        return np.where(room >= 0.0, self._braking(np.maximum(room, 0.0)), room)
+
+    def _braking(self, room_m: FloatArray) -> FloatArray:
+        """The step after which there is room to brake, ``v dt + v^2 / 2a`` being what there is, times ``dt``."""
+        change = self._config.acceleration_m_s2 * self._task.dt_s
+        found = np.sqrt(change**2 + 2 * self._config.acceleration_m_s2 * room_m) - change
+        return np.asarray(self._task.dt_s * found)
+
+
+def descend(
+    box: FloatArray, slope: FloatArray, allowed: FloatArray, tasks: list[tuple[FloatArray, FloatArray]]
+) -> FloatArray:
+    """A hierarchy of least squares: every task as well as the limits, the rules and the tasks before it let it.
+
+    Each level is solved in the directions that the levels above have left free, so that what these have is kept.
+
+    Args:
+        box: ``(2, n)`` least and largest steps, which always hold.
+        slope: ``(m, n)`` of the rules, which hold as far as they can: the squared sum of what they lack is least.
+        allowed: ``(m,)`` largest ``slope @ step``.
+        tasks: Matrices ``(k, n)`` and what they should make of the step, ``(k,)``.
+
+    Returns:
+        ``(n,)`` the step.
+    """
+    joints, rules = box.shape[1], len(slope)
+    # Rules: the step and what each lacks, which is not negative.
+    weights = np.append(np.full(joints, DAMPING), np.ones(rules))
+    lacking = np.zeros((rules, joints + rules))
+    lacking[:, :joints], lacking[:, joints:] = slope, -np.eye(rules)
+    high = np.concatenate([box[1], np.full(rules, NONE), allowed])
+    low = np.concatenate([box[0], np.zeros(rules), np.full(rules, -NONE)])
+    step = _solve(np.diag(weights), np.zeros(joints + rules), lacking, high, low)
+    if step is None:
+        return np.asarray(box.mean(axis=0))
+    found = np.clip(step[:joints], *box)
+    limit = np.maximum(allowed, slope @ found)
+    free = np.eye(joints)
+    for matrix, wanted in tasks:
+        within = matrix @ free
+        hessian = within.T @ within + DAMPING * np.eye(free.shape[1])
+        gradient = within.T @ (matrix @ found - wanted)
+        rows = np.concatenate([free, slope @ free])
+        high = np.concatenate([box[1] - found, limit - slope @ found])
+        low = np.concatenate([box[0] - found, np.full(rules, -NONE)])
+        step = _solve(hessian, gradient, rows, high, low)
+        if step is not None:
+            found = np.clip(found + free @ step, *box)
+        _, size, directions = np.linalg.svd(within)
+        used = int((size > RANK * max(float(size.max()), RANK)).sum())
+        free = free @ directions[used:].T
+        if not free.shape[1]:
+            break
+    return found
+
+
+def _solve(
+    hessian: FloatArray, gradient: FloatArray, rows: FloatArray, high: FloatArray, low: FloatArray
+) -> FloatArray | None:
+    """One program; ``None`` where the solver finds nothing. The first bounds are the unknowns' where rows are fewer."""
+    import daqp
+
+    sense = np.zeros(len(high), dtype=np.intc)
+    found, _, status, _ = daqp.solve(hessian, gradient, np.ascontiguousarray(rows), high, low, sense)
+    return np.asarray(found, dtype=np.float64) if status >= 1 else None
