@@ -10,6 +10,7 @@ and their order, is our choice.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated, ClassVar
 
 import numpy as np
@@ -19,6 +20,7 @@ from surgbench.config import NotNegative, Positive, Section
 from surgbench.geometry import FloatArray
 from surgbench.trackers.linearised.task import ViewTask
 from surgbench.trackers.linearised.view import DISTANCE, ERRORS, GAZE, LEVEL, PLACE, RULES, linearise
+from surgbench.viewpoint.camera_arm import WRIST_PITCH
 from surgbench.viewpoint.contract import ViewCommand, ViewpointObservation, ViewpointScene, ViewpointTracker
 
 # In the order of their priority, after limits and rules.
@@ -45,6 +47,9 @@ class HierarchyConfig(Section):
         Positive, Field(description="with which the camera counts on braking before its place and before a rule")
     ] = 0.15
     margin_m: Annotated[NotNegative, Field(description="kept from floor, zone, and the smallest distance")] = 0.002
+    wrist_room_rad: Annotated[
+        NotNegative, Field(description="the place is not worth a wrist nearer to its limits than this")
+    ] = 0.2
 
 
 class Hierarchy(ViewpointTracker):
@@ -53,7 +58,8 @@ class Hierarchy(ViewpointTracker):
     1. Limits, always: position, velocity, acceleration, and being able to stop. Within them the rules: no faster
        towards floor, zone, smallest distance or wrong side than the camera can brake.
     2. Gaze, 3. level: their errors to nothing in this step.
-    4. Distance, 5. place: on with the feature, and nearer with a time constant, no faster than they can brake.
+    4. Distance, 5. place: on with the feature, and nearer with a time constant, no faster than they can brake. For its
+       place the camera does not go where the wrist has no room left to follow the feature.
     """
 
     name: ClassVar[str] = "hierarchy"
@@ -88,7 +94,9 @@ class Hierarchy(ViewpointTracker):
         # The feature takes its place along; the error that was there before it moved decays.
         carried = places[1] - places[0]
         wanted[PLACE] = carried + self._nearer(self._error[PLACE] + carried)
-        moved = descend(box, self._slope, self._allowed(), [(self._J[rows], wanted[rows]) for rows in TASKS])
+        boxes = (box, box, box, self._roomy(setpoint, box))
+        tasks = [(self._J[rows], wanted[rows], own) for rows, own in zip(TASKS, boxes, strict=True)]
+        moved = descend(box, self._slope, self._allowed(), tasks)
         target = np.clip(setpoint + moved, setpoint + box[0], setpoint + box[1])
         return ViewCommand(target, mode="servo", velocity=(target - setpoint) / task.dt_s, solver=True)
 
@@ -99,6 +107,15 @@ class Hierarchy(ViewpointTracker):
             return -error
         share = min(1.0, self._task.dt_s / self._config.approach_s)
         return -error * min(share, float(self._braking(np.array([size]))[0]) / size)
+
+    def _roomy(self, setpoint: FloatArray, box: FloatArray) -> FloatArray:
+        """The part of a box in which the wrist is not, or does not come, too near to its limits."""
+        room = np.zeros(JOINTS)
+        room[WRIST_PITCH:] = self._config.wrist_room_rad
+        share = min(1.0, self._task.dt_s / self._config.approach_s)
+        least = np.minimum(share * (self._task.lower + room - setpoint), 0.0)
+        most = np.maximum(share * (self._task.upper - room - setpoint), 0.0)
+        return np.clip(np.array([least, most]), box[0], box[1])
 
     def _allowed(self) -> FloatArray:
         """``(4,)`` how much deeper each rule lets the camera go in a step: it must be able to brake before it."""
@@ -113,7 +130,10 @@ class Hierarchy(ViewpointTracker):
 
 
 def descend(
-    box: FloatArray, slope: FloatArray, allowed: FloatArray, tasks: list[tuple[FloatArray, FloatArray]]
+    box: FloatArray,
+    slope: FloatArray,
+    allowed: FloatArray,
+    tasks: Sequence[tuple[FloatArray, FloatArray, FloatArray]],
 ) -> FloatArray:
     """A hierarchy of least squares: every task as well as the limits, the rules and the tasks before it let it.
 
@@ -123,7 +143,8 @@ def descend(
         box: ``(2, n)`` least and largest steps, which always hold.
         slope: ``(m, n)`` of the rules, which hold as far as they can: the squared sum of what they lack is least.
         allowed: ``(m,)`` largest ``slope @ step``.
-        tasks: Matrices ``(k, n)`` and what they should make of the step, ``(k,)``.
+        tasks: Matrices ``(k, n)``, what they should make of the step, ``(k,)``, and a box like the first: a task takes
+            no joint out of its own, or farther out than those before it did.
 
     Returns:
         ``(n,)`` the step.
@@ -141,13 +162,13 @@ def descend(
     found = np.clip(step[:joints], *box)
     limit = np.maximum(allowed, slope @ found)
     free = np.eye(joints)
-    for matrix, wanted in tasks:
+    for matrix, wanted, own in tasks:
         within = matrix @ free
         hessian = within.T @ within + DAMPING * np.eye(free.shape[1])
         gradient = within.T @ (matrix @ found - wanted)
         rows = np.concatenate([free, slope @ free])
-        high = np.concatenate([box[1] - found, limit - slope @ found])
-        low = np.concatenate([box[0] - found, np.full(rules, -NONE)])
+        high = np.concatenate([np.maximum(own[1] - found, 0.0), limit - slope @ found])
+        low = np.concatenate([np.minimum(own[0] - found, 0.0), np.full(rules, -NONE)])
         step = _solve(hessian, gradient, rows, high, low)
         if step is not None:
             found = np.clip(found + free @ step, *box)
