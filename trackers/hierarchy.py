@@ -17,6 +17,8 @@ import numpy as np
 from pydantic import Field
 
 from surgbench.config import NotNegative, Positive, Section
+from surgbench.errors import ConfigError
+from surgbench.extras import missing
 from surgbench.geometry import FloatArray
 from surgbench.trackers.linearised.task import ViewTask
 from surgbench.trackers.linearised.view import DISTANCE, ERRORS, GAZE, LEVEL, PLACE, RULES, linearise
@@ -40,12 +42,15 @@ class HierarchyConfig(Section):
 
     filter_gain: Annotated[float, Field(gt=0, le=1, description="alpha of the filter of the feature's motion")] = 0.7
     normal_gain: Annotated[float, Field(gt=0, le=1, description="the same for the feature's normal")] = 0.5
+    settle_s: Annotated[
+        Positive, Field(description="time constant with which errors of gaze and level are brought to nothing")
+    ] = 0.05
     approach_s: Annotated[
         Positive, Field(description="time constant with which errors of distance and place are brought to nothing")
     ] = 0.15
     acceleration_m_s2: Annotated[
         Positive, Field(description="with which the camera counts on braking before its place and before a rule")
-    ] = 0.15
+    ] = 0.08
     margin_m: Annotated[NotNegative, Field(description="kept from floor, zone, and the smallest distance")] = 0.002
     wrist_room_rad: Annotated[
         NotNegative, Field(description="the place is not worth a wrist nearer to its limits than this")
@@ -57,23 +62,33 @@ class Hierarchy(ViewpointTracker):
 
     1. Limits, always: position, velocity, acceleration, and being able to stop. Within them the rules: no faster
        towards floor, zone, smallest distance or wrong side than the camera can brake.
-    2. Gaze, 3. level: their errors to nothing in this step.
-    4. Distance, 5. place: on with the feature, and nearer with a time constant, no faster than they can brake. For its
-       place the camera does not go where the wrist has no room left to follow the feature.
+    2. Gaze, 3. level, 4. distance, 5. place: on with the feature, and their errors to nothing with a time constant,
+       those of distance and place no faster than the camera can brake. For its place it does not go where the wrist has
+       no room left to follow the feature.
     """
 
     name: ClassVar[str] = "hierarchy"
     summary: ClassVar[str] = "hierarchical quadratic programs on joint velocities: rules, gaze, level, distance, place"
-    requires: ClassVar[tuple[str, ...]] = ("daqp",)
     Config = HierarchyConfig
 
     def __init__(self, config: HierarchyConfig | None = None) -> None:
         self._config = config or HierarchyConfig()
 
+    @classmethod
+    def unavailable(cls) -> str | None:
+        """DAQP is an extra."""
+        return missing(("daqp",))
+
     def reset(self, scene: ViewpointScene, joints: FloatArray, rng: np.random.Generator) -> None:
-        """Take the scene in."""
+        """Take the scene in.
+
+        Raises:
+            ConfigError: DAQP is not installed.
+        """
+        if (lacking := self.unavailable()) is not None:
+            raise ConfigError(f"tracker '{self.name}' cannot run here: {lacking}")
         self._task = ViewTask(scene, self._config.filter_gain, self._config.normal_gain)
-        self._error, self._J = np.empty(ERRORS), np.empty((ERRORS, JOINTS))
+        self._J = np.empty((ERRORS, JOINTS))
         self._depth, self._slope = np.empty(RULES), np.empty((RULES, JOINTS))
 
     def step(self, observation: ViewpointObservation) -> ViewCommand:
@@ -82,23 +97,29 @@ class Hierarchy(ViewpointTracker):
         if not task.look(observation):
             return ViewCommand(setpoint.copy())
         features, places = task.ahead(np.array([task.lag_s, task.lag_s + task.dt_s]))
-        linearise(
-            task.arm, task.reach_m, setpoint, features[1], places[1], task.distance_m, task.rules, task.faces,
-            self._error, self._J, self._depth, self._slope,
-        )  # fmt: skip
-        box = task.reachable(setpoint, observation.setpoint_velocity)
-        box[0] -= setpoint
-        box[1] -= setpoint
-        wanted = -self._error
-        wanted[DISTANCE] = self._nearer(self._error[DISTANCE])
-        # The feature takes its place along; the error that was there before it moved decays.
-        carried = places[1] - places[0]
-        wanted[PLACE] = carried + self._nearer(self._error[PLACE] + carried)
+        now, after = (self._errors(setpoint, feature, place) for feature, place in zip(features, places, strict=True))
+        box = task.reachable(setpoint, observation.setpoint_velocity) - setpoint
+        # What the feature's motion does to the errors is made good at once; what was there before, bit by bit.
+        wanted = now - after
+        share = min(1.0, task.dt_s / self._config.settle_s)
+        wanted[GAZE] -= share * now[GAZE]
+        wanted[LEVEL] -= share * now[LEVEL]
+        wanted[DISTANCE] += self._nearer(now[DISTANCE])
+        wanted[PLACE] += self._nearer(now[PLACE])
         boxes = (box, box, box, self._roomy(setpoint, box))
         tasks = [(self._J[rows], wanted[rows], own) for rows, own in zip(TASKS, boxes, strict=True)]
         moved = descend(box, self._slope, self._allowed(), tasks)
         target = np.clip(setpoint + moved, setpoint + box[0], setpoint + box[1])
         return ViewCommand(target, mode="servo", velocity=(target - setpoint) / task.dt_s, solver=True)
+
+    def _errors(self, joints: FloatArray, feature: FloatArray, place: FloatArray) -> FloatArray:
+        """The view's errors ``(8,)``; derivatives and rules stay in the arrays that are kept for them."""
+        task, error = self._task, np.empty(ERRORS)
+        linearise(
+            task.arm, task.reach_m, joints, feature, place, task.distance_m, task.rules, task.faces,
+            error, self._J, self._depth, self._slope,
+        )  # fmt: skip
+        return error
 
     def _nearer(self, error: FloatArray) -> FloatArray:
         """How an error should change in a step."""
@@ -120,7 +141,7 @@ class Hierarchy(ViewpointTracker):
     def _allowed(self) -> FloatArray:
         """``(4,)`` how much deeper each rule lets the camera go in a step: it must be able to brake before it."""
         room = -self._config.margin_m - self._depth
-        return np.where(room >= 0.0, self._braking(np.maximum(room, 0.0)), room)
+        return np.asarray(np.where(room >= 0.0, self._braking(np.maximum(room, 0.0)), room))
 
     def _braking(self, room_m: FloatArray) -> FloatArray:
         """The step after which there is room to brake, ``v dt + v^2 / 2a`` being what there is, times ``dt``."""

@@ -18,6 +18,8 @@ from pydantic import Field
 
 from surgbench.compiled import compiled
 from surgbench.config import NotNegative, Positive, Section
+from surgbench.errors import ConfigError
+from surgbench.extras import missing
 from surgbench.geometry import FloatArray
 from surgbench.trackers.linearised.task import ViewTask
 from surgbench.trackers.linearised.view import ERRORS, RULES, linearise
@@ -125,14 +127,24 @@ class Horizon(ViewpointTracker):
 
     name: ClassVar[str] = "horizon"
     summary: ClassVar[str] = "receding horizon: the next 32 steps as one quadratic program"
-    requires: ClassVar[tuple[str, ...]] = ("daqp",)
     Config = HorizonConfig
 
     def __init__(self, config: HorizonConfig | None = None) -> None:
         self._config = config or HorizonConfig()
 
+    @classmethod
+    def unavailable(cls) -> str | None:
+        """DAQP is an extra."""
+        return missing(("daqp",))
+
     def reset(self, scene: ViewpointScene, joints: FloatArray, rng: np.random.Generator) -> None:
-        """Set the program up: everything of it that does not change in a trial."""
+        """Set the program up: everything of it that does not change in a trial.
+
+        Raises:
+            ConfigError: DAQP is not installed.
+        """
+        if (lacking := self.unavailable()) is not None:
+            raise ConfigError(f"tracker '{self.name}' cannot run here: {lacking}")
         config = self._config
         self._task = task = ViewTask(scene, config.filter_gain, config.normal_gain)
         steps = np.array(config.steps)
