@@ -136,7 +136,7 @@ class Hierarchy(ViewpointTracker):
         share = min(1.0, self._task.dt_s / self._config.approach_s)
         least = np.minimum(share * (self._task.lower + room - setpoint), 0.0)
         most = np.maximum(share * (self._task.upper - room - setpoint), 0.0)
-        return np.clip(np.array([least, most]), box[0], box[1])
+        return np.asarray(np.clip(np.array([least, most]), box[0], box[1]))
 
     def _allowed(self) -> FloatArray:
         """``(4,)`` how much deeper each rule lets the camera go in a step: it must be able to brake before it."""

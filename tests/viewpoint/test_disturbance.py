@@ -105,7 +105,7 @@ def test_what_was_not_measured_stays_so(levels: dict[str, float]) -> None:
     trial.T_world_feature[50:80] = np.nan
     trial.T_world_feature[0] = np.nan
     poses = disturb_trial(trial, Disturbance(**levels), AXES).T_world_feature
-    whole = np.isfinite(poses).all(axis=(1, 2))
+    whole = np.asarray(np.isfinite(poses).all(axis=(1, 2)))
     assert not whole[50:80].any()
     assert not whole[0]
     assert (whole | np.isnan(poses).all(axis=(1, 2))).all()  # all of a pose is there, or nothing of it

@@ -20,6 +20,7 @@ from surgbench.tasks.viewpoint.columns import (
     PAGE_TRUTH,
     PUBLISHED_TIME,
 )
+from surgbench.tasks.viewpoint.robustness import ROBUSTNESS_PNG, robustness_table
 
 if TYPE_CHECKING:
     from surgbench.reproduce.results import Results
@@ -69,6 +70,11 @@ def page(definition: Definition, results: Results) -> str:
         rows = [row for row in results.rows if row["block"] == block.name]
         data = _dataset(block, results.about["datasets"][block.dataset.folder])
         parts += [f"## {block.heading}", block.note.strip(), data, *failure_lines(list(filter(_is_whole, rows)))]
+        if any(row["disturbance"] for row in rows):
+            if ROBUSTNESS_PNG in results.about.get("pictures", ()):
+                parts.append(f"![Errors against levels of disturbance]({ROBUSTNESS_PNG})")
+            parts.append(robustness_table(list(filter(_is_whole, rows))))
+            continue
         for subset, name in SUBSET_NAMES.items():
             parts += [f"### Table I, {name}", _errors(rows, published, "table1", subset)]
         parts += ["### In truth, and what was commanded", _truth(rows)]
