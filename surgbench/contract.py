@@ -373,7 +373,10 @@ class Generator(Protocol):
 
 @runtime_checkable
 class Importer(Protocol):
-    """Turns a recording into a dataset; its ``Config`` becomes options of ``surgbench import NAME``."""
+    """Turns a recording into a dataset; its ``Config`` becomes options of ``surgbench import NAME``.
+
+    One whose ``several`` is true takes several recordings in one call: a tuple of paths as ``source``.
+    """
 
     name: ClassVar[str]
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, SerializerFunctionWrapHandler, field_validator, model_serializer, model_validator
 
 from surgbench.config import Finite, NotNegative, Positive, Section
 from surgbench.generators.sections import Fraction
+from surgbench.viewpoint.arm_files import CameraArmSpec, arm_of, load_camera_arm, unless_default
+from surgbench.viewpoint.camera_arm import CameraArm
 from surgbench.viewpoint.placement import DISTANCE_M
 from surgbench.viewpoint.workspace import FLOOR_M, PREFERRED_SIDE, PROXIMITY_M
 
@@ -260,6 +262,7 @@ class WireChaser(Section):
         measurement: How the report of its pose errs.
         scene: The camera arm, the no-go box, and what is known of them.
         rules: Where the camera should be.
+        camera_arm: Holds the camera: a name of ``surgbench list camera_arms``, or a file; kept as what that says.
     """
 
     task: Literal["viewpoint"]
@@ -276,6 +279,28 @@ class WireChaser(Section):
     measurement: Measurement = Measurement()
     scene: Scene = Scene()
     rules: Rules = Rules()
+    camera_arm: CameraArmSpec | None = None
+
+    @field_validator("camera_arm", mode="before")
+    @classmethod
+    def _read(cls, value: Any) -> Any:
+        return load_camera_arm(value) if isinstance(value, str) else value
+
+    @field_validator("camera_arm", mode="after")
+    @classmethod
+    def _told(cls, value: CameraArmSpec | None) -> CameraArmSpec | None:
+        return unless_default(value)
+
+    @model_serializer(mode="wrap")
+    def _short(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Without the default camera arm: presets and their datasets say what they said before there were others."""
+        data: dict[str, Any] = handler(self)
+        return {key: value for key, value in data.items() if key != "camera_arm" or value is not None}
+
+    @property
+    def arm(self) -> CameraArm:
+        """Holds the camera."""
+        return arm_of(self.camera_arm)
 
     @model_validator(mode="after")
     def _possible(self) -> WireChaser:

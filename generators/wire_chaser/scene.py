@@ -9,9 +9,9 @@ import numpy as np
 from surgbench.generators.wire_chaser.hand import draw_truncated
 from surgbench.generators.wire_chaser.presets import Scene, WireChaser, WireSettings
 from surgbench.geometry import FloatArray, inverse_transform, rigid_transform, rotation_from_vector
-from surgbench.viewpoint.camera_arm import CameraArm
-from surgbench.viewpoint.placement import look_at, naive_pose, violations
+from surgbench.viewpoint.camera_arm import PSM_CLASSIC
 from surgbench.viewpoint.registration import Touches, register
+from surgbench.viewpoint.setting_up import turned_base
 from surgbench.viewpoint.workspace import NoGoZone, Workspace
 
 # The published zone's points, from the middle of its base, as shares of its size: A, B, C, D, E
@@ -21,9 +21,6 @@ ZONE = np.array([[-0.5, 0.5, 0.0], [0.5, 0.5, 0.0], [0.53, -0.473, 0.004], [-0.4
 TOUCHED = np.array([[-0.3, -0.35, 0.9], [0.3, -0.35, 0.2], [0.3, 0.35, 0.9], [-0.3, 0.35, 0.2], [0.0, 0.0, 0.5]])
 # Of the arm that holds the ring, from the box's middle: on the other side of the table. Our choice.
 TROCAR_M = np.array([-0.12, -0.10, 0.20])
-# Places tried for the arm at rest: around the feature, at these shares of the wanted distance.
-DIRECTIONS = 1500
-DISTANCES = (1.0, 1.15, 0.85, 1.3, 1.5)
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +64,10 @@ def draw_surroundings(preset: WireChaser, rng: np.random.Generator) -> Surroundi
         )
     ]
     rotation = rotation_from_vector(rng.uniform(*scene.base_tilt_rad) * _direction(rng))
+    if preset.arm != PSM_CLASSIC:  # which the places above are of
+        middle = _towards(centre, np.array(remote))
+        base = rigid_transform(rotation, centre + np.array(remote))
+        rotation = turned_base(preset.arm, base, middle[None], rules.distance_m)[:3, :3]
     mean, deviation = scene.reported_rad
     misreport = rotation_from_vector(draw_truncated(mean, deviation, scene.reported_range_rad, rng) * _direction(rng))
     misreport_m = np.array(scene.reported_m) + scene.reported_spread_m * rng.standard_normal(3)
@@ -94,36 +95,12 @@ def touch_points(
     return Touches(points + errors[0], _in_world(inverse_transform(T_world_base), points) + errors[1])
 
 
-def rest(
-    T_world_feature: FloatArray, distance_m: float, workspace: Workspace, arm: CameraArm, T_world_base: FloatArray
-) -> FloatArray | None:
-    """Joints ``(6,)`` of an arm that looks at the feature from the geometrically best place that is allowed.
-
-    Args:
-        T_world_feature: ``(4, 4)``.
-        distance_m: Wanted.
-        workspace: Rules.
-        arm: The camera arm.
-        T_world_base: ``(4, 4)`` as registered.
-
-    Returns:
-        ``None`` if there is no such place.
-    """
-    feature, normal = T_world_feature[:3, 3], T_world_feature[:3, 1]
-    # Spread evenly over the sphere, by golden angles; the best direction first, then those near to it.
-    height = 1.0 - (2.0 * np.arange(DIRECTIONS) + 1.0) / DIRECTIONS
-    angle = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(DIRECTIONS)
-    level = np.sqrt(1.0 - height**2)
-    directions = np.stack([level * np.cos(angle), level * np.sin(angle), height], axis=1)
-    directions = directions[np.argsort(-directions @ normal, kind="stable")]
-    for share in DISTANCES:
-        poses = look_at(feature + share * distance_m * directions, feature)
-        if share == 1.0:
-            poses = np.concatenate([naive_pose(T_world_feature, distance_m)[None], poses])
-        found = violations(poses, np.broadcast_to(feature, (len(poses), 3)), workspace, arm, T_world_base)
-        if not found.any.all():
-            return arm.clip(arm.inverse(inverse_transform(T_world_base) @ poses[int(np.argmin(found.any))]))
-    return None
+def _towards(centre_m: FloatArray, away_m: FloatArray) -> FloatArray:
+    """A feature ``(4, 4)`` in the middle, its normal towards the camera arm's remote centre."""
+    y = away_m / np.linalg.norm(away_m)
+    x = np.cross(y, [0.0, 0.0, 1.0])
+    x = x / np.linalg.norm(x)
+    return rigid_transform(np.stack([x, y, np.cross(x, y)], axis=1), centre_m)
 
 
 def _direction(rng: np.random.Generator) -> FloatArray:

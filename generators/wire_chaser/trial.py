@@ -10,12 +10,12 @@ import numpy as np
 from surgbench.errors import ConfigError
 from surgbench.generators.wire_chaser.hand import RingMotion, draw_travel, draw_truncated, lead_ring, lean, stretch_m
 from surgbench.generators.wire_chaser.presets import Measurement, WireChaser
-from surgbench.generators.wire_chaser.scene import TROCAR_M, draw_surroundings, rest
+from surgbench.generators.wire_chaser.scene import TROCAR_M, draw_surroundings
 from surgbench.generators.wire_chaser.wire import WireShape, search_wire, tool_axes
 from surgbench.geometry import FloatArray, rigid_transform, rotation_from_vector
 from surgbench.randomness import generator
-from surgbench.viewpoint.camera_arm import CameraArm
 from surgbench.viewpoint.placement import naive_pose, violations
+from surgbench.viewpoint.setting_up import rest
 from surgbench.viewpoint.trial import Trial, TrialTruth, Wire
 
 # Wires looked at before they, and what stands around them, are drawn anew.
@@ -92,7 +92,7 @@ class _World:
 
     def __init__(self, preset: WireChaser, rng: np.random.Generator) -> None:
         self.preset = preset
-        self.arm = CameraArm()
+        self.arm = preset.arm
         self.around = draw_surroundings(preset, rng)
         self._tilts = np.mean(preset.hand.wobble_rad) / np.sqrt(2.0) * rng.standard_normal((LOOKED_AT * TILTS, 3))
 
@@ -111,7 +111,9 @@ class _World:
         pose = naive_pose(T_world_feature, self.preset.rules.distance_m)
         place = T_world_feature[:, :3, 3]
         found = violations(pose, place, self.around.workspace, self.arm, self.around.registered)
-        return float(found.any.mean())
+        # An arm with locked joints hardly ever reaches the best pose itself: then the other rules make the share.
+        against = found.stacked()[..., :-1].any(axis=-1) if self.arm.locked.any() else found.any
+        return float(against.mean())
 
     def lack(self, wire: WireShape) -> float:
         """By how much a wire, in the box, misses the wanted share, wherever on it the ring may rest."""
@@ -166,4 +168,5 @@ class _World:
             rules.floor_m,
             rules.proximity_m,
             rules.preferred_side,
+            self.arm,
         )

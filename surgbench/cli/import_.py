@@ -46,13 +46,13 @@ def _import() -> None:
     """
 
 
-def import_recordings(found: Found, options: dict[str, Any], source: Path, out: Path) -> None:
+def import_recordings(found: Found, options: dict[str, Any], source: Path | tuple[Path, ...], out: Path) -> None:
     """Make a dataset of recordings, and say what was made of them.
 
     Args:
         found: The importer.
         options: Its own.
-        source: The recordings.
+        source: The recordings; several for an importer that says that it takes ``several``.
         out: The dataset's folder: new or empty.
 
     Raises:
@@ -84,8 +84,17 @@ def _command(found: Found) -> Any:
         import_recordings(found, options, source, out)
         print(out)
 
+    def commands(
+        options: dict[str, Any],
+        source: Annotated[list[Path], typer.Argument(metavar="SRC...", help="The recordings, each a part of its own.")],
+        out: Annotated[Path, typer.Option(help="The dataset's folder: new or empty.")],
+    ) -> None:
+        import_recordings(found, options, tuple(source), out)
+        print(out)
+
     model = getattr(found.cls, "Config", None)
     example = f"Example: surgbench import {found.name} recordings/suturing --out data/suturing"
     further = (f"Example: {one}" for one in getattr(found.cls, "examples", ()))
     doc = "\n\n".join((f"Make a dataset of a recording: {getattr(found.cls, 'summary', '')}.", example, *further))
-    return with_options(command, field_options({} if model is None else {model: ""}), "options", doc)
+    taken = commands if getattr(found.cls, "several", False) else command
+    return with_options(taken, field_options({} if model is None else {model: ""}), "options", doc)

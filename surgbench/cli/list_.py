@@ -8,7 +8,7 @@ import typer
 
 from surgbench.kinds import KINDS
 
-FILES = ("presets", "suites", "tables", "training", "instruments", "arms")
+FILES = ("presets", "suites", "tables", "training", "instruments", "arms", "camera_arms")
 
 
 def list_names(

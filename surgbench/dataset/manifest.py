@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import PurePosixPath
 from typing import Annotated, Any, Final, Literal
 
@@ -89,6 +90,11 @@ class Manifest(Section):
         head = json.dumps(data, indent=1, sort_keys=True, allow_nan=False)
         rows = ",\n".join(f"  {json.dumps(path)}: {canonical_json(files[path])}" for path in sorted(files))
         return f'{head[:-2]},\n "files": {{\n{rows}\n }}\n}}\n'.encode()
+
+
+def dataset_name(text: str) -> str:
+    """A name of a dataset, or of a part of one, from any text: what cannot stand in it is replaced."""
+    return re.sub(r"[^A-Za-z0-9_.-]", "-", text).lstrip("-_.") or "recording"
 
 
 def observations_path(sequence: str) -> str:

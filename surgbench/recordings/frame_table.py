@@ -139,7 +139,7 @@ def read_frame_table(path: Path, example: str) -> FrameTable | None:
         raise DatasetError(f"{path}: line 1 must be '{example}'; the file is empty")
     delimiter = max(DELIMITERS, key=lines[first].count)
     titles = [cell.strip().removeprefix("#").strip() for cell in next(csv.reader([lines[first]], delimiter=delimiter))]
-    columns = [_column(title, place) for place, title in enumerate(titles)]
+    columns = [name_column(title, place) for place, title in enumerate(titles)]
     frame = next((column for column in columns if column.name in FRAME_NAMES), None)
     if frame is None:
         raise DatasetError(f"{path}: line {first + 1} must be '{example}', it has no column 'frame'")
@@ -172,7 +172,8 @@ def _says_something(line: str) -> bool:
     return bool(line.strip()) and not line.strip().lower().startswith("sep=")
 
 
-def _column(title: str, place: int) -> Column:
+def name_column(title: str, place: int) -> Column:
+    """A column by its title: words joined by ``_``, and the unit that the last of them is."""
     words = [word for word in re.split(r"[^0-9a-z]+", re.sub("[°º]", " deg ", title.lower())) if word]
     unit = UNITS.get(words[-1]) if len(words) > 1 else None
     return Column("_".join(words[:-1] if unit else words), unit, place, title)

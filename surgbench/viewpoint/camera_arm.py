@@ -18,27 +18,34 @@ DEGREE = np.pi / 180
 
 @dataclass(frozen=True)
 class CameraArm:
-    """A patient-side manipulator with a ProGrasp forceps (420093) that holds a camera.
+    """An arm of the da Vinci that holds a camera: unless told, a patient-side manipulator with a ProGrasp (420093).
 
     Joints are ``(6,)``: yaw, pitch (rad), insertion (m), roll, wrist pitch, wrist yaw (rad). The base frame has its
     origin in the remote centre and z up along the arm. Limits are those of the robot's configuration files
     (jhu-dvrk/sawIntuitiveResearchKit: share/kinematic/PSM.json, and since March 2023 those of its trajectories).
+    Other arms are read from files (:mod:`surgbench.viewpoint.arm_files`). One with fewer joints has the rest of them
+    locked, the lower limit equal to the upper one: an endoscope is a straight wrist, one that looks to 30 degrees a
+    bent one.
 
     Attributes:
         manipulator: The first four joints.
         wrist_length_m: From the wrist pitch to the wrist yaw axis.
-        wrist_limit_rad: Of both wrist joints, either way.
+        wrist_lower_rad: Lower limits of wrist pitch and wrist yaw.
+        wrist_upper_rad: Upper limits.
         velocity: ``(6,)`` largest joint velocities, rad/s and m/s.
         acceleration: ``(6,)`` largest joint accelerations, rad/s^2 and m/s^2.
         camera_m: How far the camera is from the tool's origin, along its z; the camera looks along that z.
+        name: For messages.
     """
 
     manipulator: Manipulator = CLASSIC_420006
     wrist_length_m: float = 0.0107
-    wrist_limit_rad: float = 1.39626
+    wrist_lower_rad: tuple[float, float] = (-1.39626, -1.39626)
+    wrist_upper_rad: tuple[float, float] = (1.39626, 1.39626)
     velocity: tuple[float, ...] = (90 * DEGREE, 90 * DEGREE, 0.2, *(1080 * DEGREE,) * 3)
     acceleration: tuple[float, ...] = (90 * DEGREE, 90 * DEGREE, 0.2, *(720 * DEGREE,) * 3)
     camera_m: float = 0.045
+    name: str = "psm_classic"
 
     @cached_property
     def packed(self) -> FloatArray:
@@ -48,12 +55,22 @@ class CameraArm:
     @cached_property
     def lower(self) -> FloatArray:
         """``(6,)`` lower joint limits."""
-        return np.array([*self.manipulator.lower, -self.wrist_limit_rad, -self.wrist_limit_rad])
+        return np.array([*self.manipulator.lower, *self.wrist_lower_rad])
 
     @cached_property
     def upper(self) -> FloatArray:
         """``(6,)`` upper joint limits."""
-        return np.array([*self.manipulator.upper, self.wrist_limit_rad, self.wrist_limit_rad])
+        return np.array([*self.manipulator.upper, *self.wrist_upper_rad])
+
+    @cached_property
+    def locked(self) -> NDArray[np.bool_]:
+        """``(6,)`` which joints cannot move."""
+        return np.asarray(self.lower == self.upper)
+
+    @cached_property
+    def middle(self) -> FloatArray:
+        """``(6,)`` joints in the middle of their limits."""
+        return np.asarray((self.lower + self.upper) / 2)
 
     def within_limits(self, joints: FloatArray, tolerance: float = 0.0) -> NDArray[np.bool_]:
         """Which of ``(..., 6)`` joints lie within the limits, ``(...)`` bool."""
@@ -86,7 +103,7 @@ class CameraArm:
         poses = np.array(T_base_camera, dtype=np.float64)
         poses[..., :3, 3] -= self.camera_m * poses[..., :3, 2]
         joints = np.empty((*poses.shape[:-2], 6))
-        close = np.zeros(6) if near is None else np.asarray(near, dtype=np.float64)
+        close = self.middle if near is None else np.asarray(near, dtype=np.float64)
         kinematics.inverse_all(self.packed, poses.reshape(-1, 4, 4), close, joints.reshape(-1, 6))
         return joints
 
@@ -103,3 +120,7 @@ class CameraArm:
         converged = kinematics.newton(self.packed, pose, np.asarray(start, dtype=np.float64), joints)
         joints[ROLL] += 2 * np.pi * np.round((start[ROLL] - joints[ROLL]) / (2 * np.pi))
         return joints, bool(converged)
+
+
+# AutoCam's, and the default.
+PSM_CLASSIC = CameraArm()

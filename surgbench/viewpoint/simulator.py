@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from surgbench.errors import DatasetError, InvalidAnswerError
 from surgbench.geometry import FloatArray, inverse_transform, is_rigid, nearest_rotation, rigid_transform
-from surgbench.viewpoint.camera_arm import CameraArm
 from surgbench.viewpoint.contract import ViewCommand, ViewpointObservation, ViewpointScene
 from surgbench.viewpoint.placement import CONSTRAINTS
 from surgbench.viewpoint.registration import Method, register, residual_m
@@ -96,7 +95,7 @@ def make_scene(
         RegistrationError: The touched points register nothing.
         DatasetError: The camera arm starts outside its limits.
     """
-    arm = CameraArm()
+    arm = trial.arm
     zone = NoGoZone(trial.zone_m, missing_face)
     workspace = Workspace(zone, trial.floor_m, trial.proximity_m, trial.preferred_side)
     base = register(trial.T_world_base, trial.touches, registration)

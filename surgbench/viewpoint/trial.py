@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surgbench.geometry import FloatArray
+from surgbench.viewpoint.camera_arm import PSM_CLASSIC, CameraArm
 from surgbench.viewpoint.placement import DISTANCE_M
 from surgbench.viewpoint.registration import Touches
 from surgbench.viewpoint.workspace import FLOOR_M, PREFERRED_SIDE, PROXIMITY_M
@@ -65,6 +66,7 @@ class Trial:
         floor_m: The camera stays this high above the base of the zone.
         proximity_m: And this far from the feature.
         preferred_side: ``(3,)`` unit vector: the camera's y axis must not point along it.
+        arm: The arm that holds the camera.
     """
 
     id: str
@@ -80,6 +82,7 @@ class Trial:
     floor_m: float = FLOOR_M
     proximity_m: float = PROXIMITY_M
     preferred_side: tuple[float, float, float] = PREFERRED_SIDE
+    arm: CameraArm = PSM_CLASSIC
 
     @property
     def measured(self) -> NDArray[np.bool_]:

@@ -20,7 +20,6 @@ from surgbench.generators.wire_chaser import job as module
 from surgbench.generators.wire_chaser.hand import _contacts, draw_travel, wandering
 from surgbench.generators.wire_chaser.job import WirePlan
 from surgbench.generators.wire_chaser.presets import SHARES, Hand, Measurement, WireChaser, WireSettings
-from surgbench.generators.wire_chaser.scene import rest
 from surgbench.generators.wire_chaser.trial import make_trial, measure
 from surgbench.generators.wire_chaser.wire import WireShape, tool_axes
 from surgbench.generators.wire_chasers import load_wire_chaser
@@ -32,6 +31,7 @@ from surgbench.viewpoint.motion import describe_motion, extents_m
 from surgbench.viewpoint.placement import CONSTRAINTS, naive_pose, violations
 from surgbench.viewpoint.registration import register, residual_m
 from surgbench.viewpoint.scores import naive_violations
+from surgbench.viewpoint.setting_up import rest
 from surgbench.viewpoint.simulator import make_scene
 from surgbench.viewpoint.trial import Trial, Wire
 from surgbench.viewpoint.workspace import NoGoZone

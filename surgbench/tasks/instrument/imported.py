@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,7 @@ import numpy as np
 from surgbench.camera import Camera
 from surgbench.contract import Mask
 from surgbench.dataset import tables
-from surgbench.dataset.manifest import MANIFEST_NAME, FileEntry, observations_path
+from surgbench.dataset.manifest import MANIFEST_NAME, FileEntry, dataset_name, observations_path
 from surgbench.dataset.masks import encode_image, encode_mask
 from surgbench.dataset.storage import file_entry, new_folder
 from surgbench.dataset.writer import write_files
@@ -114,11 +113,6 @@ def write_import(
         )
         (scratch / MANIFEST_NAME).write_bytes(manifest.to_bytes())
     return lines
-
-
-def dataset_name(text: str) -> str:
-    """A dataset's name from any text."""
-    return re.sub(r"[^A-Za-z0-9_.-]", "-", text).lstrip("-_.") or "recording"
 
 
 def _optics(footages: Sequence[Footage]) -> dict[str, Any]:

@@ -28,8 +28,10 @@ from surgbench.tasks.viewpoint.format import (
     feature_path,
     scene_path,
 )
+from surgbench.viewpoint.arm_files import arm_of
 from surgbench.viewpoint.camera_arm import CameraArm
-from surgbench.viewpoint.registration import Touches
+from surgbench.viewpoint.registration import Touches, register
+from surgbench.viewpoint.setting_up import unseen
 from surgbench.viewpoint.trial import Trial, TrialTruth, Wire
 from surgbench.viewpoint.workspace import NoGoZone, WorkspaceError
 
@@ -85,6 +87,7 @@ class ViewpointDataset(Dataset[ViewpointManifest]):
 
     Attributes:
         trials: In the manifest's order.
+        arm: The arm that holds the camera.
     """
 
     task: ClassVar[str] = "viewpoint"
@@ -92,6 +95,7 @@ class ViewpointDataset(Dataset[ViewpointManifest]):
     def __init__(self, path: Path, manifest: ViewpointManifest, hash_: str) -> None:
         super().__init__(path, manifest, hash_)
         self.trials = tuple(TrialInfo(entry) for entry in manifest.trials)
+        self.arm = arm_of(manifest.camera_arm)
 
     def length(self, sequence: str) -> int:
         """Number of steps of a trial."""
@@ -119,9 +123,9 @@ class ViewpointDataset(Dataset[ViewpointManifest]):
             DatasetError: There is none, or a file of it is missing, altered, or says something impossible; one line.
         """
         entry = self.sequence(trial_id).entry
-        problems = entry_problems(self.path, entry)
+        problems = entry_problems(self.path, entry, self.arm)
         poses, times, found = read_observations(self.path, entry, self._read(observations_path(entry.id)))
-        for problem in (*problems, *found):
+        for problem in (*problems, *found, *reach_problems(self.path, entry, self.arm, poses)):
             raise DatasetError(problem)
         truth = None
         if entry.truth:
@@ -136,7 +140,7 @@ class ViewpointDataset(Dataset[ViewpointManifest]):
             times,
             poses,
             np.reshape(entry.T_world_base, (4, 4)).astype(np.float64),
-            Touches(np.reshape(entry.touches.world_m, (-1, 3)), np.reshape(entry.touches.base_m, (-1, 3))),
+            _touches(entry),
             np.array(entry.zone_m),
             np.array(entry.start),
             truth,
@@ -144,6 +148,7 @@ class ViewpointDataset(Dataset[ViewpointManifest]):
             entry.floor_m,
             entry.proximity_m,
             entry.preferred_side,
+            self.arm,
         )
 
     def _read(self, file: str) -> bytes:
@@ -164,7 +169,7 @@ def trial_files(entry: TrialEntry) -> list[str]:
     return [observations_path(entry.id), *truth]
 
 
-def entry_problems(root: Path, entry: TrialEntry) -> list[str]:
+def entry_problems(root: Path, entry: TrialEntry, arm: CameraArm) -> list[str]:
     """What is wrong with a trial's part of the manifest beyond its form, one line each."""
     place = f"{root}: trial '{entry.id}'"
     problems = []
@@ -172,7 +177,6 @@ def entry_problems(root: Path, entry: TrialEntry) -> list[str]:
         NoGoZone(np.array(entry.zone_m))
     except WorkspaceError as error:
         problems.append(f"{place}: {error}")
-    arm = CameraArm()
     start = np.array(entry.start)
     if not arm.within_limits(start, TOLERANCE):
         joint = int(np.argmax((start < arm.lower - TOLERANCE) | (start > arm.upper + TOLERANCE)))
@@ -181,6 +185,23 @@ def entry_problems(root: Path, entry: TrialEntry) -> list[str]:
             f"[{arm.lower[joint]:.6g}, {arm.upper[joint]:.6g}]"
         )
     return problems
+
+
+def reach_problems(root: Path, entry: TrialEntry, arm: CameraArm, poses: FloatArray) -> list[str]:
+    """One line where the camera arm sees the feature at no time, given where the touched points say that its base is.
+
+    Args:
+        root: The dataset's folder.
+        entry: The trial.
+        arm: Holds the camera.
+        poses: ``(T, 4, 4)`` the feature as measured.
+    """
+    base = np.reshape(entry.T_world_base, (4, 4)).astype(np.float64)
+    touches = _touches(entry)
+    if len(touches.base_m):
+        base = register(base, touches, "translation")
+    problem = unseen(arm, base, poses, entry.distance_m)
+    return [] if problem is None else [f"{root}: trial '{entry.id}': {problem}"]
 
 
 def read_observations(root: Path, entry: TrialEntry, data: bytes) -> tuple[FloatArray, FloatArray, list[str]]:
@@ -243,6 +264,10 @@ def pose_columns(poses: FloatArray) -> dict[str, FloatArray]:
     numbers = np.hstack([rotation_vector(whole[:, :3, :3]), whole[:, :3, 3]])
     numbers[missing] = np.nan
     return dict(zip(FEATURE_COLUMNS, numbers.T, strict=True))
+
+
+def _touches(entry: TrialEntry) -> Touches:
+    return Touches(np.reshape(entry.touches.world_m, (-1, 3)), np.reshape(entry.touches.base_m, (-1, 3)))
 
 
 def _poses(values: dict[str, FloatArray]) -> tuple[FloatArray, FloatArray]:

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from surgbench.config import Finite, NotNegative, Positive, Section
 from surgbench.dataset.manifest import Manifest
 from surgbench.geometry import is_rigid
+from surgbench.viewpoint.arm_files import CameraArmSpec
 from surgbench.viewpoint.placement import DISTANCE_M
 from surgbench.viewpoint.workspace import FLOOR_M, PREFERRED_SIDE, PROXIMITY_M
 
@@ -146,11 +147,13 @@ class ViewpointManifest(Manifest):
     Attributes:
         task: What controllers do on it.
         trials: In order.
+        camera_arm: Holds the camera in all of them; the da Vinci Classic's patient-side manipulator unless told.
     """
 
     task: Literal["viewpoint"] = "viewpoint"
     conventions: dict[str, str] = CONVENTIONS
     trials: Annotated[tuple[TrialEntry, ...], Field(min_length=1)]
+    camera_arm: CameraArmSpec | None = None
 
     @model_validator(mode="after")
     def _references(self) -> ViewpointManifest:
@@ -158,6 +161,12 @@ class ViewpointManifest(Manifest):
         if len(set(ids)) != len(ids):
             raise ValueError("two trials have the same id")
         return self
+
+    @model_serializer(mode="wrap")
+    def _short(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Without a camera arm that is not told, as such datasets were written before there were others."""
+        data: dict[str, Any] = handler(self)
+        return {key: value for key, value in data.items() if key != "camera_arm" or value is not None}
 
     @property
     def counts(self) -> str:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, fields
 from typing import Any, ClassVar
 
 from surgbench.errors import ConfigError
+from surgbench.registry import find
 from surgbench.suite.asked import Conditions
 from surgbench.suite.plug import plug
 from surgbench.suite.settings import Settings
@@ -24,14 +25,21 @@ class ViewpointSettings(Settings):
         missing_face: The no-go zone as in the published code.
         photographs_hz: How many stereo pictures a second the feature is looked for in.
         disturbance: How much harder the trials are made.
+        foresees: The controller is told the whole trial beforehand, which no real one can be.
     """
 
     registration: Registration
     missing_face: bool
     photographs_hz: float = 0.0
     disturbance: Disturbance = field(default_factory=Disturbance)
+    foresees: bool = False
 
     task: ClassVar[str] = "viewpoint"
+
+    @property
+    def floor(self) -> bool:
+        """Whether the controller knew what was to come."""
+        return self.foresees
 
     def spec(self) -> dict[str, Any]:
         """Adds what the controller is told of the world."""
@@ -42,7 +50,8 @@ class ViewpointSettings(Settings):
 
     def words(self) -> list[str]:
         """Adds what the controller is told of the world."""
-        words = super().words()
+        words = ["FLOOR, NOT FOR RANKING: told the whole trial beforehand"] if self.foresees else []
+        words += super().words()
         if self.registration != "translation":
             words.append(f"registration {self.registration}")
         if self.missing_face:
@@ -72,4 +81,5 @@ def complete(row: ViewpointRow, conditions: Conditions, dataset: ViewpointDatase
         missing_face=row.missing_face,
         photographs_hz=row.photographs_hz,
         disturbance=Disturbance(**{level.name: getattr(row, level.name) for level in fields(Disturbance)}),
+        foresees=bool(getattr(find("tracker", tracker.reference).cls, "foresees", False)),
     )

@@ -11,6 +11,7 @@ from surgbench.errors import DatasetError
 from surgbench.tasks.viewpoint.dataset import (
     ViewpointDataset,
     entry_problems,
+    reach_problems,
     read_feature,
     read_observations,
     read_scene,
@@ -25,14 +26,15 @@ def validate(dataset: ViewpointDataset, progress: Callable[[float], None] = lamb
     expected = {file for entry in manifest.trials for file in trial_files(entry)}
     problems, sound = check_files(root, manifest, expected, progress=progress)
     for entry in manifest.trials:
-        problems += entry_problems(root, entry)
+        problems += entry_problems(root, entry, dataset.arm)
         for file in trial_files(entry):
             if file not in sound:
                 continue
             data = read_bytes(root / file)
             try:
                 if file == observations_path(entry.id):
-                    problems += read_observations(root, entry, data)[2]
+                    poses, _, found = read_observations(root, entry, data)
+                    problems += found or reach_problems(root, entry, dataset.arm, poses)
                 elif file == feature_path(entry.id):
                     problems += read_feature(root, entry, data)[2]
                 elif file == scene_path(entry.id):

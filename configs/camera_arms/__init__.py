@@ -1,0 +1,1 @@
+"""Arms that hold the camera of the viewpoint task, as data."""
