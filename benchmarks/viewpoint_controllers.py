@@ -25,7 +25,7 @@ from surgbench.viewpoint.trial import Trial
 DT_S = 1 / 79.2
 BASE_M = np.array([0.165, -0.118, 0.22])
 ZONE_M = 1e-3 * np.array([[-41, -38, 0], [41, -38, 0], [41, 38, 0], [-41, 38, 0], [0, 0, 49.4]])
-NAMES = ("static", "midpoint", "naive", "autocam", "autocam-published", "gaze")
+NAMES = ("static", "midpoint", "naive", "autocam", "autocam-published", "hierarchy", "horizon", "gaze")
 
 
 def swinging(seconds: float) -> Trial:

@@ -13,7 +13,7 @@ EXTRAS = {
     "plots": ("matplotlib",),
     "video": ("av",),
     "sam2": ("transformers", "huggingface_hub"),
-    "control": ("clarabel", "osqp", "daqp"),
+    "control": ("clarabel", "daqp"),
     "bags": ("rosbags",),
     "gym": ("gymnasium",),
     "readers": ("evo", "mlcroissant", "pycocotools"),

@@ -30,6 +30,10 @@ class MidpointConfig(Section):
     roll: Annotated[
         Literal["level", "keep"], Field(description="level: the camera's x axis is level; keep: it turns with the arm")
     ] = "level"
+    pan_zone: Annotated[
+        NotNegative,
+        Field(description="not turned while the feature is this near to the picture's middle, in picture widths"),
+    ] = 0.0
     extent_m: Annotated[
         Positive, Field(description="half of what should be in view, in place of half the distance of two tools' tips")
     ] = 0.02
@@ -59,6 +63,8 @@ class Midpoint(ViewpointTracker):
         # Where the camera would be on the shaft with the wrist straight.
         self._straight_m = self._world.reach_m + float(self._world.arm.sum())
         self._depth_m = float(joints[INSERTION]) + self._straight_m
+        self._aim: FloatArray | None = None
+        self._distance_m = scene.distance_m
         self._zone, self._since_s = 0, 0.0
         self._rest: FloatArray | None = None
         self._rest_since_s, self._zooming = 0.0, False
@@ -71,16 +77,32 @@ class Midpoint(ViewpointTracker):
             return ViewCommand(observation.setpoint.copy())
         by_distance = self._config.insertion == "distance"
         apart_m = shaft_joints(
-            world.arm, world.reach_m, world.limits, world.frames, feature, self._wanted_m if by_distance else np.nan,
-            self._depth_m, observation.joints, joints,
+            world.arm, world.reach_m, world.limits, world.frames, self._aimed(feature),
+            self._wanted_m if by_distance else np.nan, self._depth_m, observation.joints, joints,
         )  # fmt: skip
         if apart_m < NEAREST_M:  # the feature is in the remote centre: every direction is right
             return ViewCommand(observation.setpoint.copy())
         if self._config.roll == "keep":
             joints[ROLL] = self._roll
         if not by_distance:
-            self._zoom(feature[:3, 3], apart_m - self._depth_m, observation.timestamp_s)
+            self._distance_m = apart_m - self._depth_m
+            self._zoom(feature[:3, 3], self._distance_m, observation.timestamp_s)
         return ViewCommand(joints)
+
+    def _aimed(self, feature: FloatArray) -> FloatArray:
+        """What the axis points at: the feature, or as near to it as keeps it in the zone in which nothing is turned."""
+        if not self._config.pan_zone:
+            return feature
+        place = feature[:3, 3]
+        aim = place if self._aim is None else self._aim
+        away = float(np.linalg.norm(place - aim))
+        most = self._config.pan_zone / self._config.focal * max(self._distance_m, NEAREST_M)
+        if away > most:
+            aim = place + (aim - place) * (most / away)
+        self._aim = np.array(aim)
+        aimed = feature.copy()
+        aimed[:3, 3] = aim
+        return aimed
 
     def _zoom(self, feature_m: FloatArray, distance_m: float, now_s: float) -> None:
         """Change the depth by one step where the feature has been at rest in the inner or outer zone long enough."""

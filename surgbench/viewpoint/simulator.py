@@ -109,6 +109,7 @@ class Simulation:
         scene: From :func:`make_scene`.
         rng: The controller's.
         steps: Only so many; all of the trial's unless told.
+        servo_lag_s: Time constant that the joints really have; what the scene tells of it unless told.
     """
 
     def __init__(
@@ -118,10 +119,12 @@ class Simulation:
         scene: ViewpointScene,
         rng: np.random.Generator,
         steps: int | None = None,
+        servo_lag_s: float | None = None,
     ) -> None:
         self._controller, self._trial, self._scene = controller, trial, scene
         count = len(trial.timestamps_s) if steps is None else min(steps, len(trial.timestamps_s))
-        self._servo = JointServo(scene.arm, trial.start, scene.dt_s, scene.servo_lag_s)
+        lag_s = scene.servo_lag_s if servo_lag_s is None else servo_lag_s
+        self._servo = JointServo(scene.arm, trial.start, scene.dt_s, lag_s)
         self._receive = Receiver(scene)
         self._measured = trial.measured[:count]
         self._joints, self._setpoints, self._goals = (

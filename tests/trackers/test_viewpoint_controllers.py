@@ -344,6 +344,36 @@ def test_midpoint_does_not_zoom_while_the_feature_moves() -> None:
         assert answer(asked, feature, joints, index).target[2] == pytest.approx(0.1)
 
 
+@pytest.mark.parametrize("away_m", [0.0, 0.005, 0.03])
+def test_in_the_pan_zone_nothing_is_turned_and_beyond_it_only_as_far_as_must_be(away_m: float) -> None:
+    """The feature stays within a tenth of the picture's width of the middle, which at 11 cm are 13.3 mm."""
+    feature, moved = feature_at(), feature_at(FEATURE_M + np.array([0.0, away_m, 0.0]))
+    scene = scene_of(feature)
+    asked = controller("midpoint", pan_zone=0.1)
+    asked.reset(scene, reach(scene, naive_pose(feature)), np.random.default_rng(0))
+    first = answer(asked, feature, ARM.clip(np.array([0.0, 0, 0.1, 0, 0, 0])))
+    second = answer(asked, moved, first.target, 1)
+    off_rad = np.arccos(np.clip(camera_of(scene, first.target)[:3, 2] @ camera_of(scene, second.target)[:3, 2], -1, 1))
+    zone_m = 0.1 / 0.829 * 0.11
+    if away_m < zone_m:
+        assert off_rad < 1e-6
+    else:
+        reached_m = np.linalg.norm(moved[:3, 3] - scene.T_world_base[:3, 3])
+        assert off_rad == pytest.approx((away_m - zone_m) / reached_m, rel=0.1)
+
+
+def test_the_published_midpoint_keeps_depth_and_roll() -> None:
+    feature = feature_at()
+    scene = scene_of(feature)
+    joints = reach(scene, naive_pose(feature))
+    published, plain = (ask(name, scene, feature, joints).target for name in ("midpoint-published", "midpoint"))
+    np.testing.assert_allclose(published[:2], plain[:2])  # the same direction
+    assert published[2] == pytest.approx(joints[2])
+    assert published[3] == pytest.approx(joints[3])
+    same = ask("midpoint", scene, feature, joints, insertion="zones", roll="keep").target
+    np.testing.assert_array_equal(published, same)
+
+
 def test_a_far_place_is_gone_to_half_way() -> None:
     feature = feature_at()
     scene = scene_of(feature)

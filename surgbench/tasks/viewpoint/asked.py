@@ -6,6 +6,7 @@ from typing import Annotated
 
 from pydantic import Field
 
+from surgbench.config import NotNegative
 from surgbench.suite.asked import RowRequest
 from surgbench.viewpoint.registration import Method
 
@@ -17,6 +18,7 @@ class ViewpointRow(RowRequest):
         registration: How touched points correct the camera arm's base.
         missing_face: The no-go zone as in the published code, which never tests one of its sides.
         photographs_hz: So many stereo pictures a second are rendered, and the feature is found in them.
+        told_lag: A level of a disturbance, as all that follow (:class:`surgbench.viewpoint.disturbance.Disturbance`).
     """
 
     registration: Annotated[Method, Field(description="How touched points correct the camera arm's base.")] = (
@@ -32,4 +34,25 @@ class ViewpointRow(RowRequest):
             description="HZ: find the feature in so many rendered pictures a second.",
             json_schema_extra={"option": "photographs"},
         ),
+    ] = 0.0
+    told_lag: Annotated[
+        NotNegative, Field(le=10, description="FACTOR: the joints' lag that controllers are told, in true ones.")
+    ] = 1.0
+    jitter_s: Annotated[
+        NotNegative, Field(le=1, description="SECONDS: measurements are up to so much older than they say.")
+    ] = 0.0
+    dropouts: Annotated[
+        NotNegative, Field(le=0.5, description="SHARE: so many of the measurements are missing, in gaps.")
+    ] = 0.0
+    dropout_s: Annotated[
+        NotNegative, Field(le=60, description="SECONDS: length of these gaps in the mean; default: 0.1.")
+    ] = 0.1
+    noise_m: Annotated[
+        NotNegative, Field(le=0.1, description="METRES: white noise on the measured position, of each coordinate.")
+    ] = 0.0
+    noise_rad: Annotated[
+        NotNegative, Field(le=1, description="RADIANS: white noise on the measured rotation, about each axis.")
+    ] = 0.0
+    registration_error_m: Annotated[
+        NotNegative, Field(le=0.1, description="METRES: the camera arm's base is registered so far beside its place.")
     ] = 0.0

@@ -17,6 +17,7 @@ from surgbench.tasks.viewpoint.pictures import Pictures
 from surgbench.tasks.viewpoint.plan import ViewpointSettings
 from surgbench.tasks.viewpoint.worker import ViewpointSetup
 from surgbench.viewpoint.contract import ViewpointScene
+from surgbench.viewpoint.disturbance import displace_base, disturb_trial, mislead
 from surgbench.viewpoint.rules import TWINS, depth_name, reported_depths, true_depths
 from surgbench.viewpoint.scores import course_errors, naive_violations
 from surgbench.viewpoint.simulator import Course, make_scene
@@ -33,18 +34,22 @@ def execute(job: Job, dataset: ViewpointDataset, run: Run) -> dict[str, Any]:
     settings = cast(ViewpointSettings, job.settings)
     trial = dataset.trial(job.unit.sequence)
     scene = make_scene(trial, registration=settings.registration, missing_face=settings.missing_face)
-    axes: dict[str, str | int] = {
+    world: dict[str, str | int] = {
         "seed": settings.conditions.seed,
         "dataset": job.dataset_name,
         "unit": job.unit.id,
         "repeat": job.repeat,
-        "tracker": settings.tracker.name,
     }
+    axes = {**world, "tracker": settings.tracker.name}
+    # Drawn without the controller's name: all are disturbed alike. Errors are those against ``trial``.
+    scene = displace_base(scene, settings.disturbance, world)
+    shown = replace(disturb_trial(trial, settings.disturbance, world), truth=None)
+    told = mislead(scene, settings.disturbance)
     status, error, trace = "ok", None, None
     course: Course | None = None
     try:
         with run.child(WORKER, settings.conditions.timeout_s) as child:
-            child.send(ViewpointSetup(settings.tracker, replace(trial, truth=None), scene, job.frames, axes))
+            child.send(ViewpointSetup(settings.tracker, shown, told, scene.servo_lag_s, job.frames, axes))
             child.ready()
             while course is None or len(course.goals) < job.frames:
                 kind, content = child.receive()

@@ -27,6 +27,7 @@ from surgbench.tasks.viewpoint.columns import (
     PAGE_UNAVOIDABLE,
     PUBLISHED_TIME,
 )
+from surgbench.tasks.viewpoint.robustness import ROBUSTNESS_PNG, robustness_table
 from surgbench.viewpoint.rules import RULE_UNITS, TWINS
 
 if TYPE_CHECKING:
@@ -87,6 +88,11 @@ def page(definition: Definition, results: Results) -> str:
         rows = [row for row in results.rows if row["block"] == block.name]
         data = _dataset(block, results.about["datasets"][block.dataset.folder])
         parts += [f"## {block.heading}", block.note.strip(), data, *failure_lines(list(filter(_is_whole, rows)))]
+        if any(row["disturbance"] for row in rows):
+            if ROBUSTNESS_PNG in results.about.get("pictures", ()):
+                parts.append(f"![Errors against levels of disturbance]({ROBUSTNESS_PNG})")
+            parts.append(robustness_table(list(filter(_is_whole, rows))))
+            continue
         for subset, name in SUBSET_NAMES.items():
             parts += [f"### Table I, {name}", _errors(rows, published, "table1", subset)]
         parts += ["### In truth", _truth(rows), "### Rules", RULES_NOTE, _rules(rows)]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields
 from typing import Any, ClassVar
 
 from surgbench.errors import ConfigError
@@ -13,6 +13,7 @@ from surgbench.suite.settings import Settings
 from surgbench.suite.slices import cut
 from surgbench.tasks.viewpoint.asked import ViewpointRow
 from surgbench.tasks.viewpoint.dataset import ViewpointDataset
+from surgbench.viewpoint.disturbance import Disturbance
 from surgbench.viewpoint.registration import Method
 
 
@@ -24,12 +25,14 @@ class ViewpointSettings(Settings):
         registration: How the touched points correct the camera arm's base.
         missing_face: The no-go zone as in the published code.
         photographs_hz: How many stereo pictures a second the feature is looked for in.
+        disturbance: How much harder the trials are made.
         foresees: The controller is told the whole trial beforehand, which no real one can be.
     """
 
     registration: Method
     missing_face: bool
     photographs_hz: float = 0.0
+    disturbance: Disturbance = field(default_factory=Disturbance)
     foresees: bool = False
 
     task: ClassVar[str] = "viewpoint"
@@ -42,6 +45,8 @@ class ViewpointSettings(Settings):
     def spec(self) -> dict[str, Any]:
         """Adds what the controller is told of the world."""
         spec = {**super().spec(), "registration": self.registration, "missing_face": self.missing_face}
+        if levels := self.disturbance.levels():  # so that the hashes of undisturbed runs do not know of any
+            spec["disturbance"] = levels
         return {**spec, "photographs_hz": self.photographs_hz} if self.photographs_hz else spec
 
     def words(self) -> list[str]:
@@ -54,7 +59,7 @@ class ViewpointSettings(Settings):
             words.append("zone without its fourth side")
         if self.photographs_hz:
             words.append(f"{self.photographs_hz:g} pictures a second")
-        return words
+        return [*words, *self.disturbance.words()]
 
 
 def complete(row: ViewpointRow, conditions: Conditions, dataset: ViewpointDataset) -> ViewpointSettings:
@@ -76,5 +81,6 @@ def complete(row: ViewpointRow, conditions: Conditions, dataset: ViewpointDatase
         registration=row.registration,
         missing_face=row.missing_face,
         photographs_hz=row.photographs_hz,
+        disturbance=Disturbance(**{level.name: getattr(row, level.name) for level in fields(Disturbance)}),
         foresees=bool(getattr(find("tracker", tracker.reference).cls, "foresees", False)),
     )

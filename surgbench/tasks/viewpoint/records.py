@@ -13,6 +13,7 @@ class ViewpointRecordSpec(RecordSpec):
 
     registration: str
     missing_face: bool = False
+    disturbance: dict[str, float] = {}
 
 
 class ViewpointFrames(Frames):

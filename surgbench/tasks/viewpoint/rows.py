@@ -21,6 +21,7 @@ from surgbench.report.summary import summarise
 from surgbench.tasks.viewpoint.picture_rows import SOURCES, framed_row, picture_fields, picture_rows, visibility_row
 from surgbench.tasks.viewpoint.records import ViewpointRecord
 from surgbench.tasks.viewpoint.rule_rows import rule_fields, rule_row
+from surgbench.viewpoint.disturbance import Disturbance
 from surgbench.viewpoint.optics.centroids import ERRORS as PIXEL_ERRORS
 from surgbench.viewpoint.placement import CONSTRAINTS
 from surgbench.viewpoint.scores import POSE_ERRORS, SIGNED, TRUE_ERRORS
@@ -34,6 +35,7 @@ VIEWPOINT_COLUMNS = (
     *number("latency_ms_mean", "latency_ms_std", "latency_ms_p999"),
     *text("registration"),
     *flag("missing_face"),
+    *text("disturbance"),
     *text("subset"),
     *count("samples"),
     *number(*(f"{error}{suffix}" for error in ERRORS for suffix in ("", "_std", "_sem"))),
@@ -52,13 +54,15 @@ _SOLVER_BITS = sum(1 << CONSTRAINTS.index(name) for name in ("proximity", "joint
 
 def subsets(record: ViewpointRecord) -> dict[str, NDArray[np.bool_]]:
     """Which samples of a record belong to each subset, ``(T,)``."""
-    rules, asked = np.array(record.frames.rules, dtype=int), np.array(record.frames.asked, dtype=bool)
+    rules = np.array(record.frames.rules, dtype=int)
+    # Also where a drop-out kept the measurement from the controller: there is an error wherever there was one.
+    measured = np.isfinite(record.errors.get("vva_deg", np.empty(0)))
     return {
-        "all": asked,
-        "unconstrained": asked & (rules == 0),
-        "constrained": asked & (rules != 0),
-        "solver": asked & ((rules & _SOLVER_BITS) != 0) & ((rules & _ORIENTATION_BIT) == 0),
-        "optimised": asked & np.array(record.frames.solver, dtype=bool),
+        "all": measured,
+        "unconstrained": measured & (rules == 0),
+        "constrained": measured & (rules != 0),
+        "solver": measured & ((rules & _SOLVER_BITS) != 0) & ((rules & _ORIENTATION_BIT) == 0),
+        "optimised": measured & np.array(record.frames.solver, dtype=bool),
     }
 
 
@@ -73,6 +77,7 @@ def viewpoint_rows(head: Row, records: list[ViewpointRecord]) -> list[Row]:
         **head,
         "registration": records[0].spec.registration,
         "missing_face": records[0].spec.missing_face,
+        "disturbance": ", ".join(Disturbance(**records[0].spec.disturbance).words()) or None,
     }
     members = [subsets(record) for record in records]
     rows = [_row(common, name, records, [one[name] for one in members]) for name in SUBSETS]

@@ -21,6 +21,7 @@ from surgbench.tasks.viewpoint.page import CENTROIDS_PNG, PATHS_PNG, PIXELS_PNG,
 from surgbench.tasks.viewpoint.picture_rows import SEEN, seen_percent
 from surgbench.tasks.viewpoint.plan import ViewpointSettings
 from surgbench.tasks.viewpoint.records import ViewpointRecord
+from surgbench.tasks.viewpoint.robustness import ROBUSTNESS_PNG, Level, draw_robustness
 from surgbench.tasks.viewpoint.rows import CLIPPED, ERRORS, VIEWPOINT_COLUMNS, clipped, subsets
 from surgbench.tasks.viewpoint.rule_rows import DEEPEST, EVENT_COUNTS, UNAVOIDABLE, rule_row
 from surgbench.viewpoint.optics.stereo import AUTOCAM_STEREO
@@ -63,6 +64,26 @@ def _count(record: ViewpointRecord) -> Row:
 
 
 def _draw(definition: Definition, blocks: Sequence[BlockWork], results: Results, folder: Path) -> list[str]:
+    return [*_draw_trial(definition, blocks, folder), *_draw_robustness(blocks, results, folder)]
+
+
+def _draw_robustness(blocks: Sequence[BlockWork], results: Results, folder: Path) -> list[str]:
+    """Curves over levels, of the first block that has disturbed rows."""
+    of_all = {row["row_id"]: row for row in results.rows if row["subset"] == "all" and row["camera"] is None}
+    for block in blocks:
+        settings = {one.row.id: cast(ViewpointSettings, one.jobs[0].settings) for one in block.rows if one.jobs}
+        found = [
+            Level(one.tracker.name, one.disturbance.levels(), of_all[id_])
+            for id_, one in settings.items()
+            if id_ in of_all
+        ]
+        title = f"{block.block.heading}: means over trials"
+        if any(one.levels for one in found) and draw_robustness(found, folder / ROBUSTNESS_PNG, title):
+            return [ROBUSTNESS_PNG]
+    return []
+
+
+def _draw_trial(definition: Definition, blocks: Sequence[BlockWork], folder: Path) -> list[str]:
     wanted = definition.table.figure
     if wanted is None:
         return []

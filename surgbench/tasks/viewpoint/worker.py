@@ -31,6 +31,7 @@ class ViewpointSetup:
         tracker: The controller with its options.
         trial: Without truth.
         scene: Its constants, as the controller is told them.
+        servo_lag_s: Time constant that the joints really have.
         steps: How many of the trial's are run.
         axes: Named axes that seed the controller's generator.
     """
@@ -38,6 +39,7 @@ class ViewpointSetup:
     tracker: Plug
     trial: Trial
     scene: ViewpointScene
+    servo_lag_s: float
     steps: int
     axes: dict[str, str | int]
 
@@ -69,8 +71,8 @@ def run(tell: Tell, setup: ViewpointSetup) -> tuple[Any, ...]:
     if not getattr(found.cls, "elsewhere", False):
         with contextlib.suppress(Exception):  # what is wrong with it will show again
             warm_up(setup)
-    controller = _controller(setup)
-    simulation = Simulation(controller, setup.trial, setup.scene, generator(**setup.axes), setup.steps)
+    controller, axes = _controller(setup), generator(**setup.axes)
+    simulation = Simulation(controller, setup.trial, setup.scene, axes, setup.steps, setup.servo_lag_s)
     try:
         course = simulation.run(lambda steps: tell("progress", steps))
     except Exception:
