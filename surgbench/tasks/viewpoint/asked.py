@@ -9,6 +9,7 @@ from pydantic import Field
 from surgbench.suite.asked import RowRequest
 
 Registration = Literal["none", "translation", "rigid"]
+WorksFrom = Literal["endoscope", "auxiliary"]
 
 
 class ViewpointRow(RowRequest):
@@ -18,6 +19,8 @@ class ViewpointRow(RowRequest):
         registration: How touched points correct the camera arm's base.
         missing_face: The no-go zone as in the published code, which never tests one of its sides.
         photographs_hz: So many stereo pictures a second are rendered, and the feature is found in them.
+        hand: A simulated hand leads the ring, by the picture of this camera, in place of the trial's own.
+        steady: Where teleoperation takes the view anew, the tool does not turn.
     """
 
     registration: Annotated[Registration, Field(description="How touched points correct the camera arm's base.")] = (
@@ -34,3 +37,10 @@ class ViewpointRow(RowRequest):
             json_schema_extra={"option": "photographs"},
         ),
     ] = 0.0
+    hand: Annotated[
+        WorksFrom | None,
+        Field(description="A simulated hand leads the ring by this camera's picture, not the trial's own."),
+    ] = None
+    steady: Annotated[
+        bool, Field(description="With --hand: the tool does not turn where teleoperation takes the view anew.")
+    ] = False

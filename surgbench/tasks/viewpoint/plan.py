@@ -6,11 +6,12 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from surgbench.errors import ConfigError
+from surgbench.registry import find
 from surgbench.suite.asked import Conditions
 from surgbench.suite.plug import plug
 from surgbench.suite.settings import Settings
 from surgbench.suite.slices import cut
-from surgbench.tasks.viewpoint.asked import Registration, ViewpointRow
+from surgbench.tasks.viewpoint.asked import Registration, ViewpointRow, WorksFrom
 from surgbench.tasks.viewpoint.dataset import ViewpointDataset
 
 
@@ -22,17 +23,23 @@ class ViewpointSettings(Settings):
         registration: How the touched points correct the camera arm's base.
         missing_face: The no-go zone as in the published code.
         photographs_hz: How many stereo pictures a second the feature is looked for in.
+        hand: Whose picture a simulated hand works by; ``None`` where the trial's own hand leads the ring.
+        steady: The tool does not turn where teleoperation takes the view anew.
     """
 
     registration: Registration
     missing_face: bool
     photographs_hz: float = 0.0
+    hand: WorksFrom | None = None
+    steady: bool = False
 
     task: ClassVar[str] = "viewpoint"
 
     def spec(self) -> dict[str, Any]:
         """Adds what the controller is told of the world."""
         spec = {**super().spec(), "registration": self.registration, "missing_face": self.missing_face}
+        if self.hand is not None:
+            spec |= {"hand": self.hand, "steady": self.steady}
         return {**spec, "photographs_hz": self.photographs_hz} if self.photographs_hz else spec
 
     def words(self) -> list[str]:
@@ -44,6 +51,10 @@ class ViewpointSettings(Settings):
             words.append("zone without its fourth side")
         if self.photographs_hz:
             words.append(f"{self.photographs_hz:g} pictures a second")
+        if self.hand is not None:
+            words.append(f"a hand by the picture of the {self.hand}")
+        if self.steady:
+            words.append("a steady tool")
         return words
 
 
@@ -57,6 +68,7 @@ def complete(row: ViewpointRow, conditions: Conditions, dataset: ViewpointDatase
     if conditions.device != "cpu" or conditions.arms != "single":
         raise ConfigError(f"--device and --arms are for the instrument task; '{dataset.name}' is of the viewpoint task")
     tracker = plug("tracker", row.tracker, row.options, "viewpoint")
+    _check_hand(row, dataset)
     return ViewpointSettings(
         row_id=row.row_id or tracker.name,
         tracker=tracker,
@@ -66,4 +78,21 @@ def complete(row: ViewpointRow, conditions: Conditions, dataset: ViewpointDatase
         registration=row.registration,
         missing_face=row.missing_face,
         photographs_hz=row.photographs_hz,
+        hand=row.hand,
+        steady=row.steady,
     )
+
+
+def _check_hand(row: ViewpointRow, dataset: ViewpointDataset) -> None:
+    """See that a simulated hand can do what is asked of it, as far as can be seen before the work."""
+    if row.hand is None:
+        if row.steady:
+            raise ConfigError("--steady: is for a simulated hand; give --hand endoscope or --hand auxiliary")
+        return
+    without = [trial.id for trial in dataset.trials if not trial.entry.truth]
+    if without:
+        raise ConfigError(
+            f"--hand: trial '{without[0]}' of '{dataset.name}' has no truth, so no wire to lead a ring on"
+        )
+    if getattr(find("tracker", row.tracker).cls, "foresees", False):
+        raise ConfigError(f"--hand: '{row.tracker}' must know the ring's way beforehand, which a hand only makes")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import ClassVar
 
 from surgbench.records.format import Frames, Number, Record, RecordSpec
+from surgbench.viewpoint.hand.measures import PERFORMANCE
 from surgbench.viewpoint.scores import POSE_ERRORS, SIGNED, TRUE_ERRORS
 
 
@@ -13,6 +14,8 @@ class ViewpointRecordSpec(RecordSpec):
 
     registration: str
     missing_face: bool = False
+    hand: str | None = None
+    steady: bool = False
 
 
 class ViewpointFrames(Frames):
@@ -33,6 +36,9 @@ class ViewpointFrames(Frames):
         latency_ms: What the step took.
         projected_px: u and v of the feature in the left and the right picture, ``None`` where it is outside.
         tags_px: The same as found by the tags in rendered pictures; ``None`` where no picture was taken.
+        ring: Where a simulated hand led the feature: rotation vector and place of T_world_feature. With a hand alone.
+        contact: Whether ring and wire touched then.
+        sight: In which view the hand saw it (:mod:`surgbench.viewpoint.hand.operation`).
     """
 
     joints: list[list[float]] = []
@@ -49,12 +55,16 @@ class ViewpointFrames(Frames):
     projected_px: list[list[Number]] = []
     tags_px: list[list[Number] | None] = []
     latency_ms: list[Number] = []
+    ring: list[list[float]] = []
+    contact: list[bool] = []
+    sight: list[int] = []
 
 
 class ViewpointRecord(Record):
     """One run of a viewpoint controller."""
 
-    error_names: ClassVar[tuple[str, ...]] = (*POSE_ERRORS, SIGNED, *TRUE_ERRORS)
+    whole: ClassVar[tuple[str, ...]] = PERFORMANCE
+    error_names: ClassVar[tuple[str, ...]] = (*POSE_ERRORS, SIGNED, *TRUE_ERRORS, *PERFORMANCE)
 
     spec: ViewpointRecordSpec
     frames: ViewpointFrames

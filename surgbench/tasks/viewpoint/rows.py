@@ -17,6 +17,7 @@ from surgbench.geometry import FloatArray
 from surgbench.report.field import count, flag, keys, number, text
 from surgbench.report.row import COMMON_COLUMNS, Row
 from surgbench.report.summary import summarise
+from surgbench.tasks.viewpoint.hand_rows import hand_values
 from surgbench.tasks.viewpoint.records import ViewpointRecord
 from surgbench.viewpoint.optics.centroids import ERRORS as PIXEL_ERRORS
 from surgbench.viewpoint.optics.centroids import centroid_table, visibility
@@ -75,7 +76,7 @@ def viewpoint_rows(head: Row, records: list[ViewpointRecord]) -> list[Row]:
     }
     members = [subsets(record) for record in records]
     rows = [_row(common, name, records, [one[name] for one in members]) for name in SUBSETS]
-    rows[0] |= _visibility(*stacked_pixels(records, "projected_px"))
+    rows[0] |= _visibility(*stacked_pixels(records, "projected_px")) | hand_values(records)
     rows += [row for source in ("projected_px", "tags_px") for row in _pixel_rows(common, records, source)]
     return [row for row in rows if row["subset"] == "all" or row["samples"]]
 

@@ -15,6 +15,9 @@ from surgbench.report.row import Row
 from surgbench.reproduce.results import RECORDS, Results
 from surgbench.reproduce.sheet import Sheet
 from surgbench.tasks.viewpoint.figures import Line, draw_centroids, draw_paths, draw_timeline
+from surgbench.tasks.viewpoint.hand_figure import draw_hands
+from surgbench.tasks.viewpoint.hand_page import has_hands, page_of_hands
+from surgbench.tasks.viewpoint.hand_rows import HAND_COLUMNS, HAND_MEASURES, UNFINISHED, unfinished
 from surgbench.tasks.viewpoint.page import CENTROIDS_PNG, PATHS_PNG, page
 from surgbench.tasks.viewpoint.plan import ViewpointSettings
 from surgbench.tasks.viewpoint.records import ViewpointRecord
@@ -47,13 +50,20 @@ def _describe(dataset: ViewpointDataset, frames: int) -> dict[str, Any]:
 
 
 def _count(record: ViewpointRecord) -> Row:
-    return {**counted(record, np.array(record.frames.asked, dtype=bool))}
+    counts: Row = {**counted(record, np.array(record.frames.asked, dtype=bool))}
+    return counts if record.spec.hand is None else {**counts, UNFINISHED: unfinished(record)}
+
+
+def _page(definition: Definition, results: Results) -> str:
+    return page_of_hands(definition, results) if has_hands(definition) else page(definition, results)
 
 
 def _draw(definition: Definition, blocks: Sequence[BlockWork], results: Results, folder: Path) -> list[str]:
     wanted = definition.table.figure
     if wanted is None:
         return []
+    if has_hands(definition):
+        return draw_hands(definition, results, folder)
     work = next(work for work in blocks if work.block.name == wanted.block)
     dataset = cast("ViewpointDataset", work.dataset)
     by_id = {row.row.id: row for row in work.rows}
@@ -99,7 +109,11 @@ VIEWPOINT_SHEET = Sheet(
     traits_of=_no_traits,
     count=_count,
     describe=_describe,
-    page=page,
+    page=_page,
     draw=_draw,
     estimates="setpoint",
+    further_estimates=("ring",),
+    further_columns=HAND_COLUMNS,
+    further_errors=HAND_MEASURES,
+    further_counts=(UNFINISHED,),
 )

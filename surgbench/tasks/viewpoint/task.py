@@ -31,7 +31,7 @@ class ViewpointTask(Task):
     summary: ClassVar[str] = "command a camera-holding arm so that a moving feature stays in view"
     # A row for every subset of the samples, and rows of the pictures for each camera.
     made_by: ClassVar[tuple[str, ...]] = tuple(
-        f"{__package__}.{name}" for name in ("dataset", "execute", "pictures", "worker")
+        f"{__package__}.{name}" for name in ("dataset", "execute", "hand_execute", "hand_worker", "pictures", "worker")
     )
     parts: ClassVar[Mapping[str, Any]] = {"subset": "all", "camera": None, "pixels": None}
     first_check: ClassVar[str] = "plain trial"
@@ -69,7 +69,11 @@ class ViewpointTask(Task):
         return complete(row, conditions, dataset)
 
     def execute(self, job: Job, dataset: ViewpointDataset, run: Run) -> dict[str, Any]:
-        """See :func:`surgbench.tasks.viewpoint.execute.execute`."""
+        """See :func:`surgbench.tasks.viewpoint.execute.execute`, and with a simulated hand ``hand_execute``."""
+        if getattr(job.settings, "hand", None) is not None:
+            from surgbench.tasks.viewpoint.hand_execute import execute_with_hand
+
+            return execute_with_hand(job, dataset, run)
         from surgbench.tasks.viewpoint.execute import execute
 
         return execute(job, dataset, run)
@@ -91,6 +95,13 @@ class ViewpointTask(Task):
         from surgbench.tasks.viewpoint.rows import VIEWPOINT_COLUMNS
 
         return VIEWPOINT_COLUMNS
+
+    @property
+    def further_columns(self) -> tuple[Field, ...]:
+        """What a simulated hand did."""
+        from surgbench.tasks.viewpoint.hand_rows import HAND_COLUMNS
+
+        return HAND_COLUMNS
 
     @property
     def shown(self) -> tuple[Column, ...]:

@@ -55,8 +55,8 @@ class Operation:
         course: Of the camera arm.
         trial: With the ring's way as the hand led it, measured and true.
         pressed_m: ``(T,)`` how far beyond the wire the hand would have had the ring; the gap where below 0.
-        sight: ``(T,)`` in which view the hand saw the ring: :data:`NOTHING`, :data:`IN_AUXILIARY`, :data:`IN_ENDOSCOPE`,
-            or :data:`BEHIND_TOOL`.
+        sight: ``(T,)`` in which view the hand saw the ring: :data:`NOTHING`, :data:`IN_AUXILIARY`,
+            :data:`IN_ENDOSCOPE`, or :data:`BEHIND_TOOL`.
         clutch: ``(T,)`` whether it was pressed.
         retaken: ``(T,)`` whether teleoperation took the view anew.
         begun: Step at which the clock started.
@@ -117,7 +117,8 @@ class Operating:
         teleoperation: TeleoperationSettings | None = None,
     ) -> None:
         check_operable(trial)
-        assert trial.truth is not None and trial.truth.wire is not None
+        assert trial.truth is not None
+        assert trial.truth.wire is not None
         self._controller, self._trial, self._scene, self._person = controller, trial, scene, person
         self._truth, self._works_from = trial.truth, works_from
         self._wire = RingOnWire.of(trial.truth.wire)
@@ -185,7 +186,7 @@ class Operating:
         pressed = np.array(log.pressed_m[:count], dtype=np.float64)
         trial = replace(
             self._trial,
-            timestamps_s=self._scene.dt_s * np.arange(count),
+            timestamps_s=self._scene.dt_s * np.arange(count, dtype=np.float64),
             T_world_feature=measured,
             start=self._log.joints[0],
             truth=TrialTruth(ring, truth.T_world_base, pressed >= 0, truth.wire),

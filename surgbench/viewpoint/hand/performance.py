@@ -5,25 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from surgbench.viewpoint.hand.contact import lasting_contacts
+from surgbench.viewpoint.hand.measures import PERFORMANCE
 from surgbench.viewpoint.hand.operation import BEHIND_TOOL, NOTHING, Operation
 
 # A contact ends when ring and wire are this far apart; shorter ones, and shorter gaps between them, do not count. As
 # the generator of wire chasers has it; the article measured electrically, and says nothing of either.
 RELEASE_M, SHORTEST_S = 0.0002, 0.1
-
-# Of Fig. 7: completion time, number of collisions, total time in contact, mean duration of a contact; and ours: the
-# ring's way, the share of time in which no picture that was shown had the ring in it and before the tool, how often the view was taken anew, and
-# whether the ring did not come back in time.
-PERFORMANCE = (
-    "task_time_s",
-    "collisions",
-    "contact_s",
-    "mean_contact_s",
-    "path_m",
-    "unseen_percent",
-    "views_taken",
-    "unfinished",
-)
 
 
 def performance(operation: Operation, dt_s: float) -> dict[str, float]:

@@ -6,8 +6,8 @@ is a handful of known regularities:
 - it corrects what it sees in proportion, some 0.2 s late: the crossover model of manual control (McRuer and Jex 1967),
   ``omega_c`` 2 to 3 rad/s;
 - along a way of a width W it goes at W / b: the steering law (Accot and Zhai 1997). W is what is left of the clearance
-  on both sides of where the ring seems to be. b is such that a ring in the middle third of the clearance goes at 9 mm/s,
-  the median speed of moving samples in AutoCam's developer logs;
+  on both sides of where the ring seems to be. b is such that a ring a third of the clearance off the wire goes at
+  9 mm/s, the median speed of moving samples in AutoCam's developer logs;
 - its movements err in proportion to their speed (Harris and Wolpert 1998), and it trembles at 8 to 12 Hz, 0.25 mm at
   the master, which the scale makes 50 um at the tool, as the generator of wire chasers has it;
 - it looks ahead by its own delay, and turns the ring's normal along the wire, about the ring and not about the tool;

@@ -1,4 +1,4 @@
-"""Where a person sets up a camera that is not going to move: with the whole wire in both pictures, as near as can be."""
+"""Where a person sets up a camera that is not going to move: near, with the whole wire in both pictures."""
 
 from __future__ import annotations
 

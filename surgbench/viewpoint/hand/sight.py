@@ -78,7 +78,7 @@ ENDOSCOPE_FROM_M = 0.15 * np.array([0.02, -0.13, 0.20]) / math.hypot(0.02, 0.13,
 
 
 def endoscope_pose(middle_m: FloatArray) -> FloatArray:
-    """T_world_camera ``(4, 4)`` of the endoscope: it looks at the middle of the task; OpenCV's axes, picture upright."""
+    """T_world_camera ``(4, 4)`` of the endoscope: it looks at the middle of the task, picture upright."""
     rotation = view_along(-ENDOSCOPE_FROM_M / np.linalg.norm(ENDOSCOPE_FROM_M))
     # The controllers' cameras have y up; this one has it down.
     return rigid_transform(rotation * np.array([-1.0, -1.0, 1.0]), middle_m + ENDOSCOPE_FROM_M)

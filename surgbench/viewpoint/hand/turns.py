@@ -1,4 +1,4 @@
-"""Small rotations, compiled: what :mod:`surgbench.geometry` does for arrays, for one at a time and a tenth of its time."""
+"""Rotations one at a time, compiled: what :mod:`surgbench.geometry` does for arrays, in a tenth of its time."""
 
 from __future__ import annotations
 
