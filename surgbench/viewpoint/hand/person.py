@@ -18,6 +18,7 @@ is a handful of known regularities:
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from dataclasses import dataclass
 
@@ -204,8 +205,8 @@ class Hand:
         self._pictures.append(seen)
         velocity, turning = self._wanted(before)
         noise = self._person.motor_noise * self._noise.step()
-        velocity = velocity + np.linalg.norm(velocity) * noise[:3]
-        turning = turning + np.linalg.norm(turning) * noise[3:]
+        velocity = velocity + math.sqrt(velocity @ velocity) * noise[:3]
+        turning = turning + math.sqrt(turning @ turning) * noise[3:]
         tremor_m = self._tremble.step()
         if self._use_clutch():
             return
@@ -226,22 +227,23 @@ class Hand:
         self._unseen_s, self._last = 0.0, seen
         ahead = seen.ahead
         sideways = seen.to_wire_m - (seen.to_wire_m @ ahead) * ahead
-        width_m = 2.0 * max(self._clearance_m - float(np.linalg.norm(sideways)), 0.0)
+        width_m = 2.0 * max(self._clearance_m - math.sqrt(sideways @ sideways), 0.0)
         speed = min(max(width_m / person.steering_s, people.slowest_m_s), people.fastest_m_s)
-        tilt = float(np.linalg.norm(seen.turn_rad))
+        tilt = math.sqrt(seen.turn_rad @ seen.turn_rad)
         self.speed_m_s = speed * max(1.0 - tilt / people.tilt_rad, 0.0) * seen.pace
         turning = person.gain_hz * seen.turn_rad
-        fastest = float(np.linalg.norm(turning))
+        fastest = person.gain_hz * tilt
         if fastest > people.turning_rad_s:
             turning = turning * (people.turning_rad_s / fastest)
         # The tool turns about its own origin: it has to go along for the ring to stay where it is.
-        velocity = person.gain_hz * sideways + self.speed_m_s * ahead - np.cross(turning, seen.lever_m)
-        return velocity, turning
+        (a, b, c), (x, y, z) = turning.tolist(), seen.lever_m.tolist()
+        carried = np.array([b * z - c * y, c * x - a * z, a * y - b * x])
+        return person.gain_hz * sideways + self.speed_m_s * ahead - carried, turning
 
     def _use_clutch(self) -> bool:
         """Bring the master back with the clutch pressed, where it has come too far; whether that was this step."""
         people, place = self._person.people, self.master[:3, 3]
-        if not self.clutch and np.linalg.norm(place) > people.reach_m:
+        if not self.clutch and place @ place > people.reach_m**2:
             self.clutch, self._clutched_s = True, 0.0
             self._home_m_s = -place / self._person.clutch_s
         if not self.clutch:

@@ -161,7 +161,7 @@ class Sight:
     """
 
     def __init__(self, view: View, ring_radius_m: float, noise_px: float, one_eye_m: float) -> None:
-        self.view = view
+        self.view, self._baseline_m = view, view.baseline_m
         self._radius_m, self._noise_px, self._one_eye_m = ring_radius_m, noise_px, one_eye_m
         self._eyes = [
             (
@@ -190,6 +190,6 @@ class Sight:
         """
         focal_px = self.view.left.fx
         across = depth_m * self._noise_px / focal_px
-        deep = math.sqrt(2.0) * depth_m * across / self.view.baseline_m if eyes == 2 else self._one_eye_m
+        deep = math.sqrt(2.0) * depth_m * across / self._baseline_m if eyes == 2 else self._one_eye_m
         turned = np.array([deep, deep, across]) / (math.sqrt(2.0) * self._radius_m)
         return np.array([across, across, deep]), turned

@@ -15,7 +15,6 @@ of which facts are used and no text. Where they differ:
 
 from __future__ import annotations
 
-from collections import deque
 from typing import Annotated
 
 import numpy as np
@@ -92,7 +91,8 @@ class Teleoperation:
 
     def __init__(self, settings: TeleoperationSettings | None = None) -> None:
         self.settings = settings or TeleoperationSettings()
-        self._cameras: deque[FloatArray] = deque(maxlen=self.settings.mean_of)
+        self._cameras = np.empty((self.settings.mean_of, 4, 4))
+        self._taken = 0
         self._master: FloatArray | None = None
 
     def reset(self, T_display_master: FloatArray, T_world_camera: FloatArray, T_world_tool: FloatArray) -> None:
@@ -103,8 +103,8 @@ class Teleoperation:
         """
         master, camera = _pose(T_display_master, "master"), _pose(T_world_camera, "camera")
         self.tool = _pose(T_world_tool, "tool")
-        self._cameras.clear()
-        self._cameras.append(camera)
+        self._taken = 0
+        self._take(camera)
         self.view = camera
         self.clutched = False
         self._master = master
@@ -127,7 +127,7 @@ class Teleoperation:
         if self._master is None:
             raise TeleoperationError("teleoperation: step before reset")
         master, camera = _pose(T_display_master, "master"), _pose(T_world_camera, "camera")
-        self._cameras.append(camera)
+        self._take(camera)
         before, self._master = self._master, master
         moved_m = master[:3, 3] - before[:3, 3]
         released = self.clutched and not clutch
@@ -149,9 +149,13 @@ class Teleoperation:
     def _align_to(self, master: FloatArray) -> None:
         self.align = _rotation(master[:3, :3].T @ self.view[:3, :3].T @ self.tool[:3, :3])
 
+    def _take(self, camera: FloatArray) -> None:
+        self._cameras[self._taken % self.settings.mean_of] = camera
+        self._taken += 1
+
     def _next_view(self) -> FloatArray:
         """The mean camera where it is far from the frozen view, or else that view."""
-        cameras = np.stack(self._cameras)
+        cameras = self._cameras[: self._taken]  # of a mean, the order does not matter
         position_m = cameras[:, :3, 3].mean(axis=0)
         if np.linalg.norm(position_m - self.view[:3, 3]) <= self.settings.resample_beyond_m:
             return self.view
