@@ -52,8 +52,13 @@ def test_a_record_holds_the_course_and_its_errors(dataset: Path, runs: Path) -> 
         assert (record["status"], record["unit_frames"]) == ("ok", SAMPLES)
         assert record["spec"]["task"] == "viewpoint"
         frames, errors = record["frames"], record["errors"]
-        assert set(frames) == set(ViewpointFrames.model_fields) - {"tags_px"}  # no picture was taken
-        assert set(errors) == set(ViewpointRecord.error_names)
+        assert set(frames) == set(ViewpointFrames.model_fields) - {
+            "tags_px",
+            "ring",
+            "contact",
+            "sight",
+        }  # no picture, no hand
+        assert set(errors) == set(ViewpointRecord.error_names) - set(ViewpointRecord.whole)
         assert {len(values) for values in [*frames.values(), *errors.values()]} == {SAMPLES}
         assert np.isfinite(np.array(frames["joints"])).all()
         assert not any(frames["limit_violation"])
