@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from surgbench.report.column import Column
     from surgbench.report.field import Field
     from surgbench.report.row import Row
+    from surgbench.report.video_options import VideoOptions
     from surgbench.reproduce.sheet import Sheet
     from surgbench.suite.asked import Conditions
     from surgbench.suite.running import Run
@@ -131,6 +132,21 @@ class ViewpointTask(Task):
         from surgbench.tasks.viewpoint.sheet import VIEWPOINT_SHEET
 
         return VIEWPOINT_SHEET
+
+    def draw(
+        self,
+        records: Sequence[ViewpointRecord],
+        options: VideoOptions,
+        dataset: Path | None,
+        out: Path,
+        progress: Callable[[str, float], Any],
+    ) -> list[Path]:
+        """The scene, both eyes, errors and rules: an MP4 and a sheet of stills for each run or trial."""
+        from surgbench.tasks.viewpoint.film.film import draw, plan, unit_steps
+
+        films = plan(records, options, dataset)
+        with progress("steps drawn", sum(unit_steps(film) for film in films)) as advance:
+            return [path for film in films for path in draw(film, options, out, advance)]
 
     def checks(self) -> Mapping[str, Check]:
         """Small worlds of all kinds."""
