@@ -46,24 +46,37 @@ def draw_triangles(
     for face in range(len(faces)):
         a, b, c = faces[face, 0], faces[face, 1], faces[face, 2]
         ax, ay, bx, by, cx, cy = pixels[a, 0], pixels[a, 1], pixels[b, 0], pixels[b, 1], pixels[c, 0], pixels[c, 1]
-        area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
-        if not abs(area) > 1e-9:  # NaN too
+        if not (abs(ax) + abs(ay) + abs(bx) + abs(by) + abs(cx) + abs(cy) < 1e7):  # NaN too
             continue
-        left, right = max(math.ceil(min(ax, bx, cx)), 0), min(math.floor(max(ax, bx, cx)), width - 1)
+        area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
+        if abs(area) < 1e-9:
+            continue
         top, bottom = max(math.ceil(min(ay, by, cy)), 0), min(math.floor(max(ay, by, cy)), height - 1)
         za, zb, zc = 1.0 / depth[a], 1.0 / depth[b], 1.0 / depth[c]
+        along_x = ((cy - ay) * (zb - za) - (by - ay) * (zc - za)) / area
+        along_y = ((bx - ax) * (zc - za) - (cx - ax) * (zb - za)) / area
         for row in range(top, bottom + 1):
+            # From edge to edge: of a long thin triangle, its box is nearly empty.
+            first, last = math.inf, -math.inf
+            for edge in range(3):
+                px, py, qx, qy = ax, ay, bx, by
+                if edge == 1:
+                    px, py, qx, qy = bx, by, cx, cy
+                elif edge == 2:
+                    px, py, qx, qy = cx, cy, ax, ay
+                if (py <= row) != (qy <= row):
+                    x = px + (row - py) * (qx - px) / (qy - py)
+                    first, last = min(first, x), max(last, x)
+            if first > last:
+                continue
+            left, right = max(math.ceil(first), 0), min(math.floor(last), width - 1)
+            inverse = za + (left - ax) * along_x + (row - ay) * along_y
             for column in range(left, right + 1):
-                of_b = ((column - ax) * (cy - ay) - (row - ay) * (cx - ax)) / area
-                of_c = ((bx - ax) * (row - ay) - (by - ay) * (column - ax)) / area
-                of_a = 1.0 - of_b - of_c
-                if of_a < 0.0 or of_b < 0.0 or of_c < 0.0:
-                    continue
-                inverse = of_a * za + of_b * zb + of_c * zc
                 if inverse > nearest[row, column]:
                     nearest[row, column] = inverse
                     for k in range(3):
                         picture[row, column, k] = colours[face, k]
+                inverse += along_x
 
 
 @compiled

@@ -76,15 +76,16 @@ class Shot:
         frames = record.frames
         joints = np.array(frames.joints, dtype=np.float64)
         count, later = len(joints), np.minimum(np.arange(1, len(joints) + 1), len(trial.timestamps_s) - 1)
-        feature, contact = trial.T_world_feature[later], np.zeros(count, dtype=bool)
+        feature = trial.T_world_feature[later]
+        contact: NDArray[np.bool_] = np.zeros(count, dtype=bool)
         if trial.truth is not None:
-            feature, contact = trial.truth.T_world_feature[later], trial.truth.contact[later]
+            feature, contact = trial.truth.T_world_feature[later], np.asarray(trial.truth.contact[later])
         if frames.ring:  # led by a simulated hand
             numbers = np.array(frames.ring, dtype=np.float64)[np.minimum(np.arange(1, count + 1), count - 1)]
             feature = rigid_transform(rotation_from_vector(numbers[:, :3]), numbers[:, 3:])
             contact = np.array(frames.contact, dtype=bool)
         base = scene.T_world_base if trial.truth is None else trial.truth.T_world_base
-        broken = np.zeros((count, len(CONSTRAINTS)), dtype=bool)
+        broken: NDArray[np.bool_] = np.zeros((count, len(CONSTRAINTS)), dtype=bool)
         beyond: tuple[tuple[str, list[bool]], ...] = (
             ("no_go", [depth > NO_GO_TOLERANCE_M for depth in frames.no_go_depth_m]),
             ("floor", [depth > NO_GO_TOLERANCE_M for depth in frames.floor_depth_m]),
@@ -94,9 +95,10 @@ class Shot:
         for name, flags in beyond:
             if flags:
                 broken[:, CONSTRAINTS.index(name)] = flags
-        seen = np.zeros((count, 2), dtype=bool)
+        seen: NDArray[np.bool_] = np.zeros((count, 2), dtype=bool)
         if frames.projected_px:
-            seen = np.isfinite(np.array(frames.projected_px, dtype=np.float64).reshape(count, 2, 2)).all(axis=2)
+            pixels = np.array(frames.projected_px, dtype=np.float64).reshape(count, 2, 2)
+            seen = np.asarray(np.isfinite(pixels).all(axis=2))
         return cls(
             title,
             colour,
