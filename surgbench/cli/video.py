@@ -57,24 +57,21 @@ def video(
     Example: surgbench video runs --side-by-side --row gaze --row autocam --unit 003 --out films
     """
     from surgbench.cli.progress import progress
-    from surgbench.errors import ConfigError, SurgbenchError
+    from surgbench.errors import ConfigError
     from surgbench.locks import sole_writer
-    from surgbench.records.reader import read_records
+    from surgbench.records.reader import only_task, read_records
     from surgbench.report.encoders import codec_note
     from surgbench.report.video_options import VideoOptions
-    from surgbench.task import find_task
 
     if overlay and side_by_side:
         raise ConfigError("--overlay and --side-by-side: all trackers in one panel, or one each; give one of the two")
     options = VideoOptions(tuple(unit or ()), tuple(row or ()), frames, samples, overlay, side_by_side, fps, every)
     records = read_records(directories)
-    tasks = sorted({record.spec.task for record in records})
-    if len(tasks) > 1:
-        raise SurgbenchError(f"{directories[0]}: runs of several tasks ({', '.join(tasks)}); give folders of one")
+    task = only_task(records, directories[0])
     note = codec_note()
     if note is not None:
         print(note, file=sys.stderr)
     folder = out or directories[0] / "video"
     with sole_writer(folder, "video"):
-        for path in find_task(tasks[0]).draw(records, options, dataset, folder, progress):
+        for path in task.draw(records, options, dataset, folder, progress):
             print(path)

@@ -214,12 +214,6 @@ def test_what_does_not_fit_is_told_in_one_line(
     assert len(error.strip().splitlines()) == 1
 
 
-@pytest.mark.slow
-def test_runs_of_this_task_have_no_video(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    surgbench("video", runs, expect=2)
-    assert "runs of the viewpoint task have no video" in capsys.readouterr().err
-
-
 TABLE: dict[str, Any] = {
     "title": "A tiny table",
     "task": "viewpoint",

@@ -148,6 +148,18 @@ class ViewpointTask(Task):
         with progress("steps drawn", sum(unit_steps(film) for film in films)) as advance:
             return [path for film in films for path in draw(film, options, out, advance)]
 
+    def plots(
+        self,
+        records: Sequence[ViewpointRecord],
+        dataset: Path | None,
+        out: Path,
+        progress: Callable[[str, float], Any],
+    ) -> list[Path]:
+        """Errors, rules and latencies over time."""
+        from surgbench.tasks.viewpoint.timelines import draw_plots
+
+        return draw_plots(records, dataset, out, progress)
+
     def checks(self) -> Mapping[str, Check]:
         """Small worlds of all kinds."""
         from surgbench.tasks.viewpoint.conformance.checks import VIEWPOINT_CHECKS

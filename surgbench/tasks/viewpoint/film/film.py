@@ -30,10 +30,11 @@ from surgbench.report.recorded import UnitRuns, choose_runs, titles
 from surgbench.report.video_options import VideoOptions
 from surgbench.tasks.viewpoint.dataset import ViewpointDataset
 from surgbench.tasks.viewpoint.film.eyes import LOST, OUTLINE, Eyes
-from surgbench.tasks.viewpoint.film.shot import RULE_NAMES, Shot
+from surgbench.tasks.viewpoint.film.shot import Shot
 from surgbench.tasks.viewpoint.film.space import CAMERA_TRAIL, FLOOR, NEAR, RING_TRAIL, ZONE, Space
 from surgbench.tasks.viewpoint.film.strip import RULE_COLOURS, Strip
 from surgbench.tasks.viewpoint.records import ViewpointRecord
+from surgbench.tasks.viewpoint.rule_flags import RULE_NAMES
 from surgbench.viewpoint.placement import CONSTRAINTS
 from surgbench.viewpoint.registration import Method
 from surgbench.viewpoint.simulator import make_scene
@@ -163,8 +164,8 @@ def _write_rules(picture: Picture, shot: Shot, step: int, ended: bool) -> None:
     write_text(picture, shot.title + ("  (ended)" if ended else ""), 10, 22, 14, shot.colour)
     left = 10
     for number, name in enumerate(CONSTRAINTS):
-        broken = bool(shot.broken[step, number])
-        if not (broken or shot.active[step, number]):
+        broken = bool(shot.rules.broken[step, number])
+        if not (broken or shot.rules.active[step, number]):
             continue
         text = f"{RULE_NAMES[name]}{' BROKEN' if broken else ''}"
         write_text(picture, text, left, 42, SMALL_PX, LOST if broken else RULE_COLOURS[number])

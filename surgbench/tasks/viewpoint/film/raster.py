@@ -198,7 +198,7 @@ class Canvas:
         normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         middle = corners.mean(axis=1)
         lengths = np.linalg.norm(normal, axis=1) * np.linalg.norm(middle, axis=1)
-        facing = np.abs((normal * middle).sum(axis=1)) / np.maximum(lengths, 1e-15)
+        facing = np.nan_to_num(np.abs((normal * middle).sum(axis=1)) / np.maximum(lengths, 1e-15))
         colours = (mesh.colours * (0.45 + 0.55 * facing)[:, None]).astype(np.uint8)
         fine = np.ascontiguousarray((pixels + 0.5) * FINER - 0.5, dtype=np.float64)
         seen = np.where(depth[:, None] > 1e-4, fine, np.nan)

@@ -10,20 +10,12 @@ from numpy.typing import NDArray
 from surgbench.geometry import FloatArray, rigid_transform, rotation_from_vector
 from surgbench.report.drawing import Colour
 from surgbench.tasks.viewpoint.records import ViewpointRecord
+from surgbench.tasks.viewpoint.rule_flags import RuleFlags, rule_flags
 from surgbench.viewpoint.contract import ViewpointScene
-from surgbench.viewpoint.placement import CONSTRAINTS
-from surgbench.viewpoint.scores import NO_GO_TOLERANCE_M
 from surgbench.viewpoint.trial import Trial
 
 # What is shown over time, and how.
 ERRORS = (("vva_deg", "VVA", "deg"), ("fd_mm", "FD", "mm"), ("pf_deg", "PF", "deg"))
-RULE_NAMES = {
-    "no_go": "no-go zone",
-    "floor": "floor",
-    "orientation": "orientation",
-    "proximity": "proximity",
-    "joint_limit": "joint limit",
-}
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,9 +31,7 @@ class Shot:
         T_world_camera: ``(T, 4, 4)`` after each step.
         joints: ``(T, 6)``.
         errors: Name to ``(T,)``, NaN where there is none.
-        active: ``(T, 5)`` rules active for the controller itself, in the order of CONSTRAINTS.
-        broken: ``(T, 5)`` rules that its commands broke.
-        rules: ``(T, 5)`` rules that speak against the naive pose.
+        rules: Active, broken, and against the naive pose.
         contact: ``(T,)`` whether ring and wire touch, as far as is known.
         seen: ``(T, 2)`` whether the left and the right picture have the ring in them.
     """
@@ -54,16 +44,9 @@ class Shot:
     T_world_camera: FloatArray
     joints: FloatArray
     errors: dict[str, FloatArray]
-    active: NDArray[np.bool_]
-    broken: NDArray[np.bool_]
-    rules: NDArray[np.bool_]
+    rules: RuleFlags
     contact: NDArray[np.bool_]
     seen: NDArray[np.bool_]
-
-    @property
-    def told(self) -> bool:
-        """Whether its controller says which rules are active."""
-        return bool(self.active.any())
 
     @property
     def steps(self) -> int:
@@ -85,16 +68,6 @@ class Shot:
             feature = rigid_transform(rotation_from_vector(numbers[:, :3]), numbers[:, 3:])
             contact = np.array(frames.contact, dtype=bool)
         base = scene.T_world_base if trial.truth is None else trial.truth.T_world_base
-        broken: NDArray[np.bool_] = np.zeros((count, len(CONSTRAINTS)), dtype=bool)
-        beyond: tuple[tuple[str, list[bool]], ...] = (
-            ("no_go", [depth > NO_GO_TOLERANCE_M for depth in frames.no_go_depth_m]),
-            ("floor", [depth > NO_GO_TOLERANCE_M for depth in frames.floor_depth_m]),
-            ("proximity", [depth > NO_GO_TOLERANCE_M for depth in frames.proximity_m]),
-            ("joint_limit", frames.limit_violation),
-        )
-        for name, flags in beyond:
-            if flags:
-                broken[:, CONSTRAINTS.index(name)] = flags
         seen: NDArray[np.bool_] = np.zeros((count, 2), dtype=bool)
         if frames.projected_px:
             pixels = np.array(frames.projected_px, dtype=np.float64).reshape(count, 2, 2)
@@ -108,14 +81,7 @@ class Shot:
             base @ scene.arm.forward(joints),
             joints,
             {name: record.errors.get(name, np.full(count, np.nan)) for name, _, _ in ERRORS},
-            _flags(frames.active, count),
-            broken,
-            _flags(frames.rules, count),
+            rule_flags(frames),
             contact,
             seen,
         )
-
-
-def _flags(bits: list[int], count: int) -> NDArray[np.bool_]:
-    numbers = np.array(bits or [0] * count, dtype=int)
-    return np.asarray((numbers[:, None] >> np.arange(len(CONSTRAINTS))) & 1, dtype=bool)

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surgbench.report.drawing import INK, Colour, Picture, strip, text_size, write_text
-from surgbench.tasks.viewpoint.film.shot import ERRORS, RULE_NAMES, Shot
+from surgbench.tasks.viewpoint.film.shot import ERRORS, Shot
+from surgbench.tasks.viewpoint.rule_flags import RULE_NAMES, spans
 from surgbench.viewpoint.placement import CONSTRAINTS
 
 # In the order of the article's rules: red, green, blue, orange, cyan.
@@ -100,12 +101,12 @@ class Strip:
 
     def _bars(self) -> None:
         top = GAP_PX + len(ERRORS) * (CURVE_PX + GAP_PX)
-        for number, (label, colour, spans) in enumerate(self._rows):
+        for number, (label, colour, layers) in enumerate(self._rows):
             upper = top + number * (BAR_PX + 3)
             cv2.rectangle(self._still, (LEFT_PX, upper), (self._width - RIGHT_PX, upper + BAR_PX), PALE, cv2.FILLED)
             write_text(self._still, label, 8, upper + BAR_PX, 8, colour)
-            for flags, shade in spans:
-                for begin, end in _spans(flags):
+            for flags, shade in layers:
+                for begin, end in spans(flags):
                     ends = self._column(np.array([begin, end]))
                     left, right = (round(float(value)) for value in ends)
                     corners = (left, upper), (max(right, left + 1), upper + BAR_PX)
@@ -113,8 +114,8 @@ class Strip:
 
     def _explain(self) -> None:
         """What the bars are of, beside them."""
-        pale = "pale: active" if self._shots[0].told else "pale: against"
-        lines = [pale, "for it" if self._shots[0].told else "naive pose", "red: broken"]
+        pale = "pale: active" if self._shots[0].rules.told else "pale: against"
+        lines = [pale, "for it" if self._shots[0].rules.told else "naive pose", "red: broken"]
         if len(self._shots) > 1:
             lines = ["grey: naive pose", "not allowed", "red: broken"]
         top = GAP_PX + len(ERRORS) * (CURVE_PX + GAP_PX)
@@ -141,16 +142,16 @@ def _rows(shots: Sequence[Shot]) -> list[Row]:
     rows: list[Row] = []
     if len(shots) == 1:
         shot = shots[0]
-        flags = shot.active if shot.told else shot.rules
+        flags = shot.rules.active if shot.rules.told else shot.rules.naive
         for number, name in enumerate(CONSTRAINTS):
             light = _light(RULE_COLOURS[number])
-            bars = [(flags[:, number], light), (shot.broken[:, number], BROKEN)]
+            bars = [(flags[:, number], light), (shot.rules.broken[:, number], BROKEN)]
             rows.append((RULE_NAMES[name], RULE_COLOURS[number], bars))
     else:
-        rows.append(("constrained", GREY, [(np.asarray(shots[0].rules.any(axis=1)), GREY)]))
+        rows.append(("constrained", GREY, [(np.asarray(shots[0].rules.naive.any(axis=1)), GREY)]))
         for shot in shots:
             label = shot.title if len(shot.title) < 14 else shot.title[:13]
-            rows.append((label, shot.colour, [(np.asarray(shot.broken.any(axis=1)), BROKEN)]))
+            rows.append((label, shot.colour, [(np.asarray(shot.rules.broken.any(axis=1)), BROKEN)]))
     if any(shot.contact.any() for shot in shots):
         rows.append(("touches wire", INK, [(shots[0].contact, (90, 90, 90))]))
     unseen = np.asarray(~shots[0].seen.any(axis=1))
@@ -175,10 +176,4 @@ def _nice(value: float) -> float:
 def _pieces(points: NDArray[np.float64]) -> list[NDArray[np.float64]]:
     """Parts of a curve between missing values."""
     known = np.asarray(np.isfinite(points).all(axis=1))
-    return [points[begin:end] for begin, end in _spans(known) if end - begin > 1]
-
-
-def _spans(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """From and to (one after the last) of every run of true values."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(int), [0]])))
-    return [(int(begin), int(end)) for begin, end in edges.reshape(-1, 2)]
+    return [points[begin:end] for begin, end in spans(known) if end - begin > 1]
