@@ -232,6 +232,26 @@ class Task(ABC):
         """
         raise SurgbenchError(f"runs of the {self.name} task have no video")
 
+    def plots(
+        self,
+        records: Sequence[Any],
+        dataset: Path | None,
+        out: Path,
+        progress: Callable[[str, float], Any],
+    ) -> list[Path]:
+        """Pictures of runs over time.
+
+        Args:
+            records: Of one or more rows and units.
+            dataset: Where the dataset is, if not where the records say.
+            out: Folder.
+            progress: As of :meth:`draw`.
+
+        Returns:
+            The files written.
+        """
+        raise SurgbenchError(f"runs of the {self.name} task have no plots over time")
+
     def hand_eye(
         self,
         records: Sequence[Any],

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +12,7 @@ from scipy.signal import butter, lfilter, sosfiltfilt
 from surgbench.generators.wire_chaser.presets import Hand, WireSettings
 from surgbench.generators.wire_chaser.wire import WireShape
 from surgbench.geometry import FloatArray, rigid_transform, rotation_from_vector
+from surgbench.viewpoint.hand.contact import lasting_contacts
 
 # A movement's pace turns on and off over this time.
 EASE_S = 0.15
@@ -151,7 +151,7 @@ def lead_ring(
     limit = ellipse - settings.tube_radius_m - settings.radius_m
     offset = wanted * np.minimum(1.0, limit / np.maximum(length, 1e-15))[:, None]
     position = centre + offset[:, :1] * square[:, :, 0] + offset[:, 1:] * z + tremor[:, 2:] * y
-    contact = _contacts(length - limit, dt_s, hand)
+    contact = lasting_contacts(length - limit, dt_s, hand.release_m, hand.shortest_contact_s)
     return RingMotion(rigid_transform(rotation, position), contact, np.linalg.norm(offset, axis=1), limit)
 
 
@@ -242,18 +242,3 @@ def _tremor(count: int, dt_s: float, hand: Hand, rng: np.random.Generator) -> Fl
     band = sosfiltfilt(butter(2, hand.tremor_hz, "bandpass", fs=1.0 / dt_s, output="sos"), white, axis=0)
     band = band[lead:-lead]
     return np.asarray(band * hand.tremor_m / np.sqrt((band**2).sum(axis=1).mean()))
-
-
-def _contacts(pressed_m: FloatArray, dt_s: float, hand: Hand) -> NDArray[np.bool_]:
-    """When ring and wire count as touching, of how far the hand would have the ring beyond the wire."""
-    known = np.where(pressed_m >= 0, 1, np.where(pressed_m < -hand.release_m, 0, -1))
-    known[0] = max(known[0], 0)
-    latest = np.maximum.accumulate(np.where(known >= 0, np.arange(len(known)), 0))
-    contact = known[latest] == 1
-    shortest = round(hand.shortest_contact_s / dt_s)
-    for value in (False, True):  # first short gaps, then short contacts
-        edges = np.flatnonzero(np.diff(contact)) + 1
-        for begin, end in pairwise(edges):
-            if contact[begin] == value and end - begin < shortest:
-                contact[begin:end] = not value
-    return np.asarray(contact)

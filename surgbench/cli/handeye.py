@@ -46,9 +46,8 @@ def handeye(
     from surgbench.errors import SurgbenchError, unknown_name
     from surgbench.handeye.table import FIELDS, print_judged
     from surgbench.locks import sole_writer
-    from surgbench.records.reader import read_runs
+    from surgbench.records.reader import only_task, read_runs
     from surgbench.report.frame import csv_text, json_text, to_frame
-    from surgbench.task import find_task
 
     records = read_runs(runs)
     rows = {record.spec.row_id for record in records}
@@ -56,11 +55,9 @@ def handeye(
         if name not in rows:
             raise SurgbenchError(f"--row: {unknown_name('row', name, rows)}")
     records = [record for record in records if not row or record.spec.row_id in row]
-    tasks = sorted({record.spec.task for record in records})
-    if len(tasks) > 1:
-        raise SurgbenchError(f"{runs[0]}: runs of several tasks ({', '.join(tasks)}); give folders of one")
+    task = only_task(records, runs[0])
     with nullcontext() if fix_lag is None else sole_writer(fix_lag, "handeye", "--fix-lag"):
-        judged = find_task(tasks[0]).hand_eye(records, dataset, fix_lag, progress)
+        judged = task.hand_eye(records, dataset, fix_lag, progress)
     for note in dict.fromkeys(one.note for one in judged if one.note):
         print(f"surgbench: {note}", file=sys.stderr)
     if output is HandEyeFormat.table:

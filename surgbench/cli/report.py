@@ -27,17 +27,30 @@ def report(
         TableFormat, typer.Option("--format", help="csv and json hold every column and digit.")
     ] = TableFormat.table,
     out: Annotated[Path | None, typer.Option(metavar="FILE", help="Write here, not to standard output.")] = None,
+    plots: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Also draw errors, rules and latencies of camera runs over time in here."),
+    ] = None,
+    dataset: Annotated[
+        Path | None, typer.Option(metavar="PATH", help="Where the dataset is, if it moved since the run; for --plots.")
+    ] = None,
 ) -> None:
     """Print the leaderboard of the records below one or more folders.
 
     Example: surgbench report runs --format markdown --out leaderboard.md
+
+    Example: surgbench report runs --plots plots
     """
-    from surgbench.errors import SurgbenchError
+    from surgbench.errors import ConfigError, SurgbenchError
     from surgbench.files import write_atomic
     from surgbench.locks import in_use, locked_beside
     from surgbench.report import render
     from surgbench.report.rows import read_rows
 
+    if plots is not None:
+        _draw_plots(directories, plots, dataset)
+    elif dataset is not None:
+        raise ConfigError("--dataset: is for --plots; a leaderboard needs no dataset")
     rows = read_rows(directories)
     if table_format is TableFormat.table and out is None:
         from rich.console import Console
@@ -55,3 +68,16 @@ def report(
             write_atomic(out, text.encode())
     except OSError as error:
         raise SurgbenchError(f"{out}: cannot be written ({error.strerror})") from None
+
+
+def _draw_plots(directories: list[Path], folder: Path, dataset: Path | None) -> None:
+    """A picture for each unit, whose paths go to standard error: standard output is the table's."""
+    from surgbench.cli.progress import progress
+    from surgbench.locks import sole_writer
+    from surgbench.records.reader import only_task, read_records
+
+    records = read_records(directories)
+    task = only_task(records, directories[0])
+    with sole_writer(folder, "report", "--plots"):
+        for path in task.plots(records, dataset, folder, progress):
+            print(path, file=sys.stderr)

@@ -20,7 +20,11 @@ def video(
     ] = None,
     frames: Annotated[int, typer.Option(min=1, max=50, help="Columns of the contact sheet.")] = 5,
     samples: Annotated[
-        bool, typer.Option("--samples", help="Also draw the best candidates of each iteration as skeletons.")
+        bool,
+        typer.Option(
+            "--samples",
+            help="Also draw the best candidates of each iteration as skeletons; of camera runs, the sheet's moments.",
+        ),
     ] = False,
     overlay: Annotated[
         bool, typer.Option("--overlay", help="All trackers in one panel of the video, not side by side.")
@@ -30,34 +34,44 @@ def video(
         typer.Option("--side-by-side", help="What was observed comes first; masks are laid over, tips are dots."),
     ] = False,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Default: folder 'video' in the first DIR.")] = None,
-    fps: Annotated[float | None, typer.Option(min=0.1, max=240.0, help="Default: the recording's own.")] = None,
+    fps: Annotated[
+        float | None, typer.Option(min=0.1, max=240.0, help="Default: so many that the film is as fast as it was.")
+    ] = None,
+    every: Annotated[
+        int | None,
+        typer.Option(
+            min=1, max=1000, metavar="N", help="Draw every N-th frame. Default: each; of camera runs 12 a second."
+        ),
+    ] = None,
 ) -> None:
-    """Draw what trackers estimated over what they saw: an MP4 and a contact sheet per unit.
+    """Draw what trackers did over what they saw: an MP4 and a contact sheet per unit.
 
     The reference mask's contour is green; each tracker's has a colour of its own. Videos are H.264 where the extra
     ``video`` is installed. ``--side-by-side`` lays half transparent masks over the pictures, as articles do.
 
+    Of runs of a camera: the scene in space, what both eyes see, and errors and rules over time, a film for each
+    controller; ``--side-by-side`` puts those of a trial into one.
+
     Example: surgbench video runs --side-by-side --row cmaes --row hybrid --unit 000-left
+
+    Example: surgbench video runs --side-by-side --row gaze --row autocam --unit 003 --out films
     """
     from surgbench.cli.progress import progress
-    from surgbench.errors import ConfigError, SurgbenchError
+    from surgbench.errors import ConfigError
     from surgbench.locks import sole_writer
-    from surgbench.records.reader import read_records
+    from surgbench.records.reader import only_task, read_records
     from surgbench.report.encoders import codec_note
     from surgbench.report.video_options import VideoOptions
-    from surgbench.task import find_task
 
     if overlay and side_by_side:
         raise ConfigError("--overlay and --side-by-side: all trackers in one panel, or one each; give one of the two")
-    options = VideoOptions(tuple(unit or ()), tuple(row or ()), frames, samples, overlay, side_by_side, fps)
+    options = VideoOptions(tuple(unit or ()), tuple(row or ()), frames, samples, overlay, side_by_side, fps, every)
     records = read_records(directories)
-    tasks = sorted({record.spec.task for record in records})
-    if len(tasks) > 1:
-        raise SurgbenchError(f"{directories[0]}: runs of several tasks ({', '.join(tasks)}); give folders of one")
+    task = only_task(records, directories[0])
     note = codec_note()
     if note is not None:
         print(note, file=sys.stderr)
     folder = out or directories[0] / "video"
     with sole_writer(folder, "video"):
-        for path in find_task(tasks[0]).draw(records, options, dataset, folder, progress):
+        for path in task.draw(records, options, dataset, folder, progress):
             print(path)

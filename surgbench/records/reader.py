@@ -9,13 +9,13 @@ from typing import Any, TypeVar
 import numpy as np
 from pydantic import ValidationError
 
-from surgbench.errors import DatasetError, NotFoundError
+from surgbench.errors import DatasetError, NotFoundError, SurgbenchError
 from surgbench.geometry import FloatArray
 from surgbench.leftovers import without_leftovers
 from surgbench.records.format import FORMAT_STEM, FORMATS, RECORD_FORMAT, SKIPPED, Record
 from surgbench.records.seal import SEAL, check_seal
 from surgbench.syntax import parse_json
-from surgbench.task import find_task
+from surgbench.task import Task, find_task
 
 R = TypeVar("R", bound=Record)
 
@@ -161,3 +161,19 @@ def read_records_of(kind: type[R], directories: Iterable[Path]) -> list[R]:
 
 def _worth(record: Record) -> int:
     return {"ok": 0, SKIPPED: 2}.get(record.status, 1)
+
+
+def only_task(records: Iterable[Record], place: Path) -> Task:
+    """The task that all of some records are of.
+
+    Args:
+        records: At least one.
+        place: What to name where they are of several.
+
+    Raises:
+        SurgbenchError: They are of several; one line.
+    """
+    tasks = sorted({record.spec.task for record in records})
+    if len(tasks) > 1:
+        raise SurgbenchError(f"{place}: runs of several tasks ({', '.join(tasks)}); give folders of one")
+    return find_task(tasks[0])

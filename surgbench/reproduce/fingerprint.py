@@ -39,7 +39,8 @@ def head(record: dict[str, Any], frames: int, sheet: Sheet) -> dict[str, Any]:
         standard deviation over the frames, to six digits; without those that the record has not).
     """
     found = record["frames"] or {}
-    states = np.array(found.get(sheet.estimates, []), dtype="<f8")[:frames]
+    columns = [found.get(sheet.estimates, []), *filter(None, map(found.get, sheet.further_estimates))]
+    states = np.concatenate([np.array(column, dtype="<f8")[:frames] for column in columns], axis=-1)
     errors = {}
     for name in sheet.no_difference:
         values = np.array((record["errors"] or {}).get(name) or [], dtype=np.float64)[:frames]

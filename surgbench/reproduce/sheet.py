@@ -43,6 +43,7 @@ class Sheet:
         draw: The figures that go into the table's folder (a definition with some, its work, its results, the folder);
             their names, none where nothing can be drawn.
         estimates: Column of a record's frames that a rerun is held against.
+        further_estimates: More of them, where a record has them.
         measures: What is shown beside published figures in the terminal.
         instead: Of these, column to the one that stands in its place where a row has that.
     """
@@ -61,6 +62,7 @@ class Sheet:
     estimates: str
     measures: tuple[Column, ...] = ()
     instead: Mapping[str, str] = field(default_factory=dict)
+    further_estimates: tuple[str, ...] = ()
     further_columns: tuple[Field, ...] = ()
     further_errors: tuple[str, ...] = ()
     further_counts: tuple[str, ...] = ()

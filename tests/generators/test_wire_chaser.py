@@ -17,7 +17,7 @@ from surgbench.generators.dispatch import plan_preset
 from surgbench.generators.presets import load_preset
 from surgbench.generators.resumable import generate
 from surgbench.generators.wire_chaser import job as module
-from surgbench.generators.wire_chaser.hand import _contacts, draw_travel, wandering
+from surgbench.generators.wire_chaser.hand import draw_travel, wandering
 from surgbench.generators.wire_chaser.job import WirePlan
 from surgbench.generators.wire_chaser.presets import SHARES, Hand, Measurement, WireChaser, WireSettings
 from surgbench.generators.wire_chaser.trial import make_trial, measure
@@ -27,6 +27,7 @@ from surgbench.geometry import FloatArray, inverse_transform, is_rigid, rotation
 from surgbench.randomness import generator
 from surgbench.tasks.viewpoint.dataset import ViewpointDataset
 from surgbench.viewpoint.camera_arm import CameraArm
+from surgbench.viewpoint.hand.contact import lasting_contacts
 from surgbench.viewpoint.motion import describe_motion, extents_m
 from surgbench.viewpoint.placement import CONSTRAINTS, naive_pose, violations
 from surgbench.viewpoint.registration import register, residual_m
@@ -201,12 +202,11 @@ def test_wandering_has_unit_variance_and_the_rate_of_its_time_constant() -> None
 
 
 def test_contacts_do_not_chatter() -> None:
-    hand = Hand(release_m=1e-4, shortest_contact_s=0.1)
     pressed = np.full(200, -1e-3)
     pressed[50:100] = np.where(np.arange(50) % 2, 1e-5, -5e-5)  # chatters within the release distance
     pressed[104:120] = 1e-3  # and is left for less than 0.1 s
     pressed[150:153] = 1e-3  # too short
-    contact = _contacts(pressed, 0.0126, hand)
+    contact = lasting_contacts(pressed, 0.0126, release_m=1e-4, shortest_s=0.1)
     assert np.flatnonzero(np.diff(contact)).tolist() == [50, 119]
 
 

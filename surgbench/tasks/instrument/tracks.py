@@ -13,10 +13,10 @@ from surgbench.camera import Camera
 from surgbench.errors import DatasetError
 from surgbench.geometry import FloatArray, rigid_transform
 from surgbench.instrument import Instrument
+from surgbench.report.recorded import open_recorded
 from surgbench.state import STATE_SIZE
 from surgbench.tasks.instrument.dataset import InstrumentDataset
 from surgbench.tasks.instrument.format import ARMS, Arm
-from surgbench.tasks.instrument.recorded_on import open_recorded
 from surgbench.tasks.instrument.records import InstrumentRecord
 
 # What rows are named by: the first of these under which no two are named alike.
@@ -101,7 +101,7 @@ def rows_of(records: Iterable[InstrumentRecord], moved: Path | None = None) -> l
         arms = "single" if len(spec.arms) == 1 else "dual"
         key = (spec.dataset.sha256, spec.row_id, record.settings_hash, arms, spec.repeat)
         groups.setdefault(key, []).append(record)
-    datasets = open_recorded((group[0] for group in groups.values()), moved)
+    datasets = open_recorded(InstrumentDataset, (group[0] for group in groups.values()), moved)
     groups = {key: group for key, group in groups.items() if key[0] in datasets}
     for form in NAMES:
         names = [

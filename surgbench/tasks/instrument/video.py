@@ -5,13 +5,12 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from surgbench.errors import NotFoundError, SurgbenchError, unknown_name
+from surgbench.errors import SurgbenchError
 from surgbench.report.drawing import (
     ESTIMATE_COLOURS,
     PAPER,
@@ -27,9 +26,8 @@ from surgbench.report.drawing import (
     write_note,
 )
 from surgbench.report.movie import spread_frames, write_video
-from surgbench.report.telling import telling_variants
+from surgbench.report.recorded import UnitRuns, choose_runs, titles
 from surgbench.report.video_options import VideoOptions
-from surgbench.tasks.instrument.recorded_on import open_recorded
 from surgbench.tasks.instrument.records import InstrumentRecord
 from surgbench.tasks.instrument.scenery import Scenery, Shot
 from surgbench.tasks.instrument.skeletons import BEST_COLOUR, draw_samples, rank_colours
@@ -169,63 +167,16 @@ def sample_sheet(dataset: InstrumentDataset, scenery: Scenery, shots: Sequence[S
     return below([*padded, legend(entries, width, TITLE_PX)], _GAP)
 
 
-@dataclass(frozen=True)
-class UnitVideo:
-    """One unit to draw.
-
-    Attributes:
-        name: Of the files, without their endings.
-        dataset: Its dataset.
-        records: One per tracker.
-    """
-
-    name: str
-    dataset: InstrumentDataset
-    records: tuple[InstrumentRecord, ...]
-
-    @property
-    def frames(self) -> int:
-        """Frames of the video."""
-        return max(record.unit_frames for record in self.records)
+UnitVideo = UnitRuns["InstrumentDataset", InstrumentRecord]
 
 
 def plan(
     records: Sequence[InstrumentRecord], options: VideoOptions, dataset_path: Path | None = None
 ) -> list[UnitVideo]:
-    """Which units to draw, and from which dataset.
+    """Which units to draw, and from which dataset; see :func:`surgbench.report.recorded.choose_runs`."""
+    from surgbench.tasks.instrument.dataset import InstrumentDataset
 
-    Args:
-        records: From :func:`surgbench.records.reader.read_records`.
-        options: Which units and rows.
-        dataset_path: Where the dataset is now, if not where the records say.
-
-    Raises:
-        NotFoundError: A unit or row that no record has.
-        DatasetError: The dataset is not there, or is another one than the records were made on.
-    """
-    for kind, asked, known in (
-        ("unit", options.units, {record.spec.unit for record in records}),
-        ("row", options.rows, {record.spec.row_id for record in records}),
-    ):
-        for name in asked:
-            if name not in known:
-                raise NotFoundError(unknown_name(kind, name, known))
-    chosen: dict[tuple[str, str], dict[tuple[str, str], InstrumentRecord]] = {}
-    for record in records:
-        spec = record.spec
-        if (options.units and spec.unit not in options.units) or (options.rows and spec.row_id not in options.rows):
-            continue
-        rows = chosen.setdefault((spec.dataset.sha256, spec.unit), {})
-        rows.setdefault((spec.row_id, record.settings_hash), record)  # records come in order of their repeats
-    datasets = open_recorded((one for rows in chosen.values() for one in rows.values()), dataset_path)
-    jobs = []
-    for (sha256, unit), rows in chosen.items():
-        if sha256 in datasets:
-            name = unit if len(datasets) == 1 else f"{datasets[sha256].name}-{unit}"
-            jobs.append(UnitVideo(name, datasets[sha256], tuple(rows.values())))
-    if not jobs:
-        raise NotFoundError("no record is of the chosen unit and row together")
-    return sorted(jobs, key=lambda job: job.name)
+    return choose_runs(InstrumentDataset, records, options.units, options.rows, dataset_path)
 
 
 def draw(
@@ -249,13 +200,15 @@ def draw(
     # A run that failed at once may not have known how many frames there are.
     total = min(job.frames or scenery.recording.frames, scenery.recording.frames)
 
+    every = options.every or 1
+
     def pictures() -> Iterable[Picture]:
-        for frame in range(total):
+        for frame in range(0, total, every):
             yield compose_frame(scenery, shots, frame, options.overlay, options.side_by_side)
-            advance(1)
+            advance(min(every, total - frame))
 
     video, sheet, samples = (out / f"{job.name}{ending}" for ending in (".mp4", ".png", "-samples.png"))
-    write_video(video, pictures(), options.fps or 1.0 / scenery.recording.dt_s)
+    write_video(video, pictures(), options.fps or 1.0 / (every * scenery.recording.dt_s))
     written = [video, sheet]
     columns = spread_frames(total, options.columns)
     save_png(sheet, contact_sheet(scenery, shots, columns, options.side_by_side))
@@ -273,13 +226,7 @@ def draw(
 
 def make_shots(records: Sequence[InstrumentRecord]) -> list[Shot]:
     """Records of one unit with titles that tell them apart, and colours."""
-    by_id: dict[str, list[InstrumentRecord]] = {}
-    for record in records:
-        by_id.setdefault(record.spec.row_id, []).append(record)
-    shots = []
-    for number, record in enumerate(records):
-        row_id = record.spec.row_id
-        if len(by_id[row_id]) > 1:
-            row_id = f"{row_id} ({telling_variants(by_id[row_id])[record.settings_hash]})"
-        shots.append(Shot(record, row_id, ESTIMATE_COLOURS[number % len(ESTIMATE_COLOURS)]))
-    return shots
+    return [
+        Shot(record, title, ESTIMATE_COLOURS[number % len(ESTIMATE_COLOURS)])
+        for number, (record, title) in enumerate(zip(records, titles(records), strict=True))
+    ]

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field
 
 from surgbench.config import NotNegative
 from surgbench.suite.asked import RowRequest
 from surgbench.viewpoint.registration import Method
+
+WorksFrom = Literal["endoscope", "auxiliary"]
 
 
 class ViewpointRow(RowRequest):
@@ -19,6 +21,8 @@ class ViewpointRow(RowRequest):
         missing_face: The no-go zone as in the published code, which never tests one of its sides.
         photographs_hz: So many stereo pictures a second are rendered, and the feature is found in them.
         told_lag: A level of a disturbance, as all that follow (:class:`surgbench.viewpoint.disturbance.Disturbance`).
+        hand: A simulated hand leads the ring, by the picture of this camera, in place of the trial's own.
+        steady: Where teleoperation takes the view anew, the tool does not turn.
     """
 
     registration: Annotated[Method, Field(description="How touched points correct the camera arm's base.")] = (
@@ -56,3 +60,10 @@ class ViewpointRow(RowRequest):
     registration_error_m: Annotated[
         NotNegative, Field(le=0.1, description="METRES: the camera arm's base is registered so far beside its place.")
     ] = 0.0
+    hand: Annotated[
+        WorksFrom | None,
+        Field(description="A simulated hand leads the ring by this camera's picture, not the trial's own."),
+    ] = None
+    steady: Annotated[
+        bool, Field(description="With --hand: the tool does not turn where teleoperation takes the view anew.")
+    ] = False

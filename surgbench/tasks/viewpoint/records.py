@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import ClassVar
 
 from surgbench.records.format import Frames, Number, Record, RecordSpec
+from surgbench.viewpoint.hand.measures import PERFORMANCE
 from surgbench.viewpoint.scores import POSE_ERRORS, SIGNED, TRUE_ERRORS
 
 
@@ -14,6 +15,8 @@ class ViewpointRecordSpec(RecordSpec):
     registration: str
     missing_face: bool = False
     disturbance: dict[str, float] = {}
+    hand: str | None = None
+    steady: bool = False
 
 
 class ViewpointFrames(Frames):
@@ -45,6 +48,9 @@ class ViewpointFrames(Frames):
         ring_seen: Which share of the ring is in the left and the right picture and covered by neither the tool nor what
             it holds.
         tags_px: The same as found by the tags in rendered pictures; ``None`` where no picture was taken.
+        ring: Where a simulated hand led the feature: rotation vector and place of T_world_feature. With a hand alone.
+        contact: Whether ring and wire touched then.
+        sight: In which view the hand saw it (:mod:`surgbench.viewpoint.hand.operation`).
     """
 
     joints: list[list[float]] = []
@@ -69,6 +75,9 @@ class ViewpointFrames(Frames):
     ring_seen: list[list[Number]] = []
     tags_px: list[list[Number] | None] = []
     latency_ms: list[Number] = []
+    ring: list[list[float]] = []
+    contact: list[bool] = []
+    sight: list[int] = []
 
 
 class ViewpointRecord(Record):
@@ -78,7 +87,8 @@ class ViewpointRecord(Record):
         dt_s: Seconds between steps; ``None`` in records of old versions.
     """
 
-    error_names: ClassVar[tuple[str, ...]] = (*POSE_ERRORS, SIGNED, *TRUE_ERRORS)
+    whole: ClassVar[tuple[str, ...]] = PERFORMANCE
+    error_names: ClassVar[tuple[str, ...]] = (*POSE_ERRORS, SIGNED, *TRUE_ERRORS, *PERFORMANCE)
 
     spec: ViewpointRecordSpec
     dt_s: Number = None

@@ -17,6 +17,9 @@ from surgbench.reproduce.results import RECORDS, Results
 from surgbench.reproduce.sheet import Sheet
 from surgbench.tasks.viewpoint.columns import PAGE_PAIRED
 from surgbench.tasks.viewpoint.figures import Line, draw_centroids, draw_paths, draw_pixel_errors, draw_timeline
+from surgbench.tasks.viewpoint.hand_figure import draw_hands
+from surgbench.tasks.viewpoint.hand_page import has_hands, page_of_hands
+from surgbench.tasks.viewpoint.hand_rows import HAND_COLUMNS, HAND_MEASURES, UNFINISHED, unfinished
 from surgbench.tasks.viewpoint.page import CENTROIDS_PNG, PATHS_PNG, PIXELS_PNG, page
 from surgbench.tasks.viewpoint.picture_rows import SEEN, seen_percent
 from surgbench.tasks.viewpoint.plan import ViewpointSettings
@@ -60,11 +63,16 @@ _NUMBERS = (*DEEPEST[""], *DEEPEST["_true"], *SEEN)
 def _count(record: ViewpointRecord) -> Row:
     of_rules = rule_row([record])
     kept = {name: of_rules[name] for name in (*_COUNTS[1:], *_FURTHER_COUNTS, *DEEPEST[""], *DEEPEST["_true"])}
-    return {CLIPPED: clipped(record, subsets(record)["all"]), **kept, **seen_percent(record)}
+    counts = {CLIPPED: clipped(record, subsets(record)["all"]), **kept, **seen_percent(record)}
+    return counts if record.spec.hand is None else {**counts, UNFINISHED: unfinished(record)}
+
+
+def _page(definition: Definition, results: Results) -> str:
+    return page_of_hands(definition, results) if has_hands(definition) else page(definition, results)
 
 
 def _draw(definition: Definition, blocks: Sequence[BlockWork], results: Results, folder: Path) -> list[str]:
-    return [*_draw_trial(definition, blocks, folder), *_draw_robustness(blocks, results, folder)]
+    return [*_draw_trial(definition, blocks, results, folder), *_draw_robustness(blocks, results, folder)]
 
 
 def _draw_robustness(blocks: Sequence[BlockWork], results: Results, folder: Path) -> list[str]:
@@ -83,10 +91,12 @@ def _draw_robustness(blocks: Sequence[BlockWork], results: Results, folder: Path
     return []
 
 
-def _draw_trial(definition: Definition, blocks: Sequence[BlockWork], folder: Path) -> list[str]:
+def _draw_trial(definition: Definition, blocks: Sequence[BlockWork], results: Results, folder: Path) -> list[str]:
     wanted = definition.table.figure
     if wanted is None:
         return []
+    if has_hands(definition):
+        return draw_hands(definition, results, folder)
     work = next(work for work in blocks if work.block.name == wanted.block)
     dataset = cast("ViewpointDataset", work.dataset)
     by_id = {row.row.id: row for row in work.rows}
@@ -133,11 +143,13 @@ VIEWPOINT_SHEET = Sheet(
     traits_of=_no_traits,
     count=_count,
     describe=_describe,
-    page=page,
+    page=_page,
     draw=_draw,
     estimates="setpoint",
-    further_columns=paired_fields(PAIRED),
-    further_counts=_FURTHER_COUNTS,
+    further_columns=(*paired_fields(PAIRED), *HAND_COLUMNS),
+    further_errors=HAND_MEASURES,
+    further_estimates=("ring",),
+    further_counts=(*_FURTHER_COUNTS, UNFINISHED),
     further_numbers=_NUMBERS,
     paired=PAIRED,
     regretted="view_cost",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from surgbench.report.column import Column
     from surgbench.report.field import Field
     from surgbench.report.row import Row
+    from surgbench.report.video_options import VideoOptions
     from surgbench.reproduce.sheet import Sheet
     from surgbench.suite.asked import Conditions
     from surgbench.suite.running import Run
@@ -31,7 +32,7 @@ class ViewpointTask(Task):
     summary: ClassVar[str] = "command a camera-holding arm so that a moving feature stays in view"
     # A row for every subset of the samples, and rows of the pictures for each camera.
     made_by: ClassVar[tuple[str, ...]] = tuple(
-        f"{__package__}.{name}" for name in ("dataset", "execute", "pictures", "worker")
+        f"{__package__}.{name}" for name in ("dataset", "execute", "hand_execute", "hand_worker", "pictures", "worker")
     )
     parts: ClassVar[Mapping[str, Any]] = {"subset": "all", "camera": None, "pixels": None}
     first_check: ClassVar[str] = "plain trial"
@@ -69,7 +70,11 @@ class ViewpointTask(Task):
         return complete(row, conditions, dataset)
 
     def execute(self, job: Job, dataset: ViewpointDataset, run: Run) -> dict[str, Any]:
-        """See :func:`surgbench.tasks.viewpoint.execute.execute`."""
+        """See :func:`surgbench.tasks.viewpoint.execute.execute`, and with a simulated hand ``hand_execute``."""
+        if getattr(job.settings, "hand", None) is not None:
+            from surgbench.tasks.viewpoint.hand_execute import execute_with_hand
+
+            return execute_with_hand(job, dataset, run)
         from surgbench.tasks.viewpoint.execute import execute
 
         return execute(job, dataset, run)
@@ -91,6 +96,13 @@ class ViewpointTask(Task):
         from surgbench.tasks.viewpoint.rows import VIEWPOINT_COLUMNS
 
         return VIEWPOINT_COLUMNS
+
+    @property
+    def further_columns(self) -> tuple[Field, ...]:
+        """What a simulated hand did."""
+        from surgbench.tasks.viewpoint.hand_rows import HAND_COLUMNS
+
+        return HAND_COLUMNS
 
     @property
     def shown(self) -> tuple[Column, ...]:
@@ -120,6 +132,33 @@ class ViewpointTask(Task):
         from surgbench.tasks.viewpoint.sheet import VIEWPOINT_SHEET
 
         return VIEWPOINT_SHEET
+
+    def draw(
+        self,
+        records: Sequence[ViewpointRecord],
+        options: VideoOptions,
+        dataset: Path | None,
+        out: Path,
+        progress: Callable[[str, float], Any],
+    ) -> list[Path]:
+        """The scene, both eyes, errors and rules: an MP4 and a sheet of stills for each run or trial."""
+        from surgbench.tasks.viewpoint.film.film import draw, plan, unit_steps
+
+        films = plan(records, options, dataset)
+        with progress("steps drawn", sum(unit_steps(film) for film in films)) as advance:
+            return [path for film in films for path in draw(film, options, out, advance)]
+
+    def plots(
+        self,
+        records: Sequence[ViewpointRecord],
+        dataset: Path | None,
+        out: Path,
+        progress: Callable[[str, float], Any],
+    ) -> list[Path]:
+        """Errors, rules and latencies over time."""
+        from surgbench.tasks.viewpoint.timelines import draw_plots
+
+        return draw_plots(records, dataset, out, progress)
 
     def checks(self) -> Mapping[str, Check]:
         """Small worlds of all kinds."""

@@ -15,7 +15,6 @@ of which facts are used and no text. Where they differ:
 
 from __future__ import annotations
 
-from collections import deque
 from typing import Annotated
 
 import numpy as np
@@ -38,11 +37,14 @@ class TeleoperationSettings(Section):
         scale: The tool's way by the master's.
         resample_beyond_m: The view is taken anew when the camera is farther than this from where it was taken.
         mean_of: The camera's pose is the mean over so many steps.
+        turns_with_view: Where the view is taken anew the tool turns at once by as much as the view did (as published).
+            Else the alignment takes that up, as it does at the release of the clutch: the tool turns by the hand alone.
     """
 
     scale: Positive = 0.2
     resample_beyond_m: NotNegative = 0.01
     mean_of: Annotated[int, Field(ge=1)] = 25
+    turns_with_view: bool = True
 
 
 class Teleoperation:
@@ -68,6 +70,7 @@ class Teleoperation:
     - The tool's orientation changes at once, in the world by ``R_world_V' R_world_V^T``; seen from the view it stays as
       it was. A camera that turned by 5 degrees within those 10 mm turns the tool by 5 degrees about its own origin with
       no movement of the hand. This is what the article's match of orientations asks for, and what the code does.
+    - Without ``turns_with_view`` it does neither: only later movements and turns of the hand take other directions.
     - A camera that only turns in its place is never taken anew, here as in the code.
 
     While the clutch is pressed the tool rests and the view is frozen. In the step of the release the view is taken anew
@@ -88,8 +91,9 @@ class Teleoperation:
 
     def __init__(self, settings: TeleoperationSettings | None = None) -> None:
         self.settings = settings or TeleoperationSettings()
-        self._cameras: deque[FloatArray] = deque(maxlen=self.settings.mean_of)
-        self._master_m: FloatArray | None = None
+        self._cameras = np.empty((self.settings.mean_of, 4, 4))
+        self._taken = 0
+        self._master: FloatArray | None = None
 
     def reset(self, T_display_master: FloatArray, T_world_camera: FloatArray, T_world_tool: FloatArray) -> None:
         """Begin: the tool stays where it is, whatever the master's pose.
@@ -99,11 +103,11 @@ class Teleoperation:
         """
         master, camera = _pose(T_display_master, "master"), _pose(T_world_camera, "camera")
         self.tool = _pose(T_world_tool, "tool")
-        self._cameras.clear()
-        self._cameras.append(camera)
+        self._taken = 0
+        self._take(camera)
         self.view = camera
         self.clutched = False
-        self._master_m = master[:3, 3]
+        self._master = master
         self._align_to(master)
 
     def step(self, T_display_master: FloatArray, T_world_camera: FloatArray, clutch: bool = False) -> FloatArray:
@@ -120,20 +124,23 @@ class Teleoperation:
         Raises:
             TeleoperationError: A pose is not a rigid transform, and then nothing has changed; or there was no reset.
         """
-        if self._master_m is None:
+        if self._master is None:
             raise TeleoperationError("teleoperation: step before reset")
         master, camera = _pose(T_display_master, "master"), _pose(T_world_camera, "camera")
-        self._cameras.append(camera)
-        moved_m = master[:3, 3] - self._master_m
+        self._take(camera)
+        before, self._master = self._master, master
+        moved_m = master[:3, 3] - before[:3, 3]
         released = self.clutched and not clutch
-        self._master_m, self.clutched = master[:3, 3], clutch
+        self.clutched = clutch
         if clutch:
             return self.tool.copy()
-        self.view = self._next_view()
+        view, self.view = self.view, self._next_view()
         if released:
             # What the hand did between the last pressed step and this one still belongs to the clutch.
             self._align_to(master)
             return self.tool.copy()
+        if self.view is not view and not self.settings.turns_with_view:
+            self._align_to(before)
         rotation = self.view[:3, :3]
         position_m = self.tool[:3, 3] + self.settings.scale * rotation @ moved_m
         self.tool = rigid_transform(rotation @ master[:3, :3] @ self.align, position_m)
@@ -142,9 +149,13 @@ class Teleoperation:
     def _align_to(self, master: FloatArray) -> None:
         self.align = _rotation(master[:3, :3].T @ self.view[:3, :3].T @ self.tool[:3, :3])
 
+    def _take(self, camera: FloatArray) -> None:
+        self._cameras[self._taken % self.settings.mean_of] = camera
+        self._taken += 1
+
     def _next_view(self) -> FloatArray:
         """The mean camera where it is far from the frozen view, or else that view."""
-        cameras = np.stack(self._cameras)
+        cameras = self._cameras[: self._taken]  # of a mean, the order does not matter
         position_m = cameras[:, :3, 3].mean(axis=0)
         if np.linalg.norm(position_m - self.view[:3, 3]) <= self.settings.resample_beyond_m:
             return self.view
