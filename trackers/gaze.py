@@ -31,7 +31,7 @@ class GazeConfig(Section):
     margin_m: Annotated[NotNegative, Field(description="kept from floor, no-go zone and the smallest distance")] = 0.002
     registration_margin: Annotated[
         NotNegative, Field(description="and so many times what the registration says of its error")
-    ] = 1.0
+    ] = 3.0
     pole_deg: Annotated[NotNegative, Field(description="kept from straight above, where no direction is level")] = 10.0
     side_deg: Annotated[NotNegative, Field(description="kept from the plane of the preferred side")] = 3.0
     above_deg: Annotated[
