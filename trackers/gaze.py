@@ -49,7 +49,7 @@ class GazeConfig(Section):
 # A feature that is farther away, or nowhere, is not looked at.
 FARTHEST_M = 1e3
 # Tolerances: gaze (rad), level (rad), distance (m), direction (rad), Huber's threshold for it, rules (m), cone (m).
-GOAL = 1 / np.array([5e-3, 2e-3, 5e-4, 1e-1, 1.0, 3e-4, 1e-3])
+GOAL = 1 / np.array([5e-3, 2e-3, 5e-4, 1e-1, 1.0, 5e-5, 1e-3])
 WAY = 1 / np.array([5e-3, 2e-3, 5e-4, 1e-1, 1.0, np.inf, np.inf])
 STEP = 1 / np.array([2e-4, 5e-4, 1e-3, np.inf, 1.0, np.inf, np.inf])
 
