@@ -31,7 +31,7 @@ class GazeConfig(Section):
     margin_m: Annotated[NotNegative, Field(description="kept from floor, no-go zone and the smallest distance")] = 0.002
     registration_margin: Annotated[
         NotNegative, Field(description="and so many times what the registration says of its error")
-    ] = 1.0
+    ] = 3.0
     pole_deg: Annotated[NotNegative, Field(description="kept from straight above, where no direction is level")] = 10.0
     side_deg: Annotated[NotNegative, Field(description="kept from the plane of the preferred side")] = 3.0
     above_deg: Annotated[
@@ -49,7 +49,7 @@ class GazeConfig(Section):
 # A feature that is farther away, or nowhere, is not looked at.
 FARTHEST_M = 1e3
 # Tolerances: gaze (rad), level (rad), distance (m), direction (rad), Huber's threshold for it, rules (m), cone (m).
-GOAL = 1 / np.array([5e-3, 2e-3, 5e-4, 1e-1, 1.0, 3e-4, 1e-3])
+GOAL = 1 / np.array([5e-3, 2e-3, 5e-4, 1e-1, 1.0, 5e-5, 1e-3])
 WAY = 1 / np.array([5e-3, 2e-3, 5e-4, 1e-1, 1.0, np.inf, np.inf])
 STEP = 1 / np.array([2e-4, 5e-4, 1e-3, np.inf, 1.0, np.inf, np.inf])
 

@@ -27,6 +27,8 @@ ROUND, TRIED, VELOCITY_OF_WAY = 0, 4, 5
 MEMORY = 8
 # After so many steps a way round is looked for again.
 TRY_AGAIN = 8
+# Of a joint's limit, so that rounding never makes a stop before it impossible.
+ROUNDING = 1e-9
 # One over the tolerance of the camera's place, where a step has to give something up.
 TURN = 1 / 5e-3
 # Beyond this cost of a view another turn of roll and wrist is tried; a way shorter than this is never gone round.
@@ -43,7 +45,8 @@ def reachable(limits: FloatArray, setpoint: FloatArray, velocity: FloatArray, dt
     """What every joint can reach in one step, and still stop before its limit: ``box``, ``(2, 6)``, is filled."""
     for joint in range(6):
         a = limits[3, joint]
-        room_up, room_down = max(limits[1, joint] - setpoint[joint], 0.0), max(setpoint[joint] - limits[0, joint], 0.0)
+        room_up = max(limits[1, joint] - setpoint[joint] - ROUNDING, 0.0)
+        room_down = max(setpoint[joint] - limits[0, joint] - ROUNDING, 0.0)
         fast_up = math.sqrt(a * a * dt_s * dt_s + 2 * a * room_up) - a * dt_s
         fast_down = math.sqrt(a * a * dt_s * dt_s + 2 * a * room_down) - a * dt_s
         least = max(velocity[joint] - a * dt_s, -limits[2, joint])

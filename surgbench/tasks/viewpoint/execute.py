@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from surgbench.geometry import FloatArray
 from surgbench.processes.child import ChildProblemError
@@ -16,8 +17,10 @@ from surgbench.tasks.viewpoint.dataset import ViewpointDataset
 from surgbench.tasks.viewpoint.pictures import Pictures
 from surgbench.tasks.viewpoint.plan import ViewpointSettings
 from surgbench.tasks.viewpoint.worker import ViewpointSetup
+from surgbench.viewpoint.avoidable import PLACE_RULES, TOLERANCE_M, Of, broken_m, unavoidable
 from surgbench.viewpoint.contract import ViewpointScene
 from surgbench.viewpoint.disturbance import displace_base, disturb_trial, mislead
+from surgbench.viewpoint.placement import CONSTRAINTS
 from surgbench.viewpoint.rules import TWINS, depth_name, reported_depths, true_depths
 from surgbench.viewpoint.scores import course_errors, naive_violations
 from surgbench.viewpoint.simulator import Course, make_scene
@@ -93,11 +96,34 @@ def measure(course: Course, trial: Trial, scene: ViewpointScene, pictures: Pictu
             for twin, depths in zip(TWINS, (reported_depths, true_depths), strict=True)
             for rule, depth in depths(course, trial, rules_of).items()
         },
+        "unavoidable": _bits(_unavoidable(course, trial, rules_of)),
         "latency_ms": _numbers(course.latency_ms),
         **pictures.pixels(course, trial, scene),
     }
     errors = {name: _numbers(values) for name, values in course_errors(course, trial, scene).items()}
     return {"frames": frames, "errors": errors}
+
+
+def _unavoidable(course: Course, trial: Trial, scene: ViewpointScene) -> NDArray[np.bool_]:
+    """``(T, 5)`` which rules no motion could have kept after each step, by the joints or by the set points.
+
+    Both are judged (:func:`surgbench.viewpoint.rules.reported_depths`); what only one of them breaks is excused for that
+    one alone. After the last step the feature is not known anew, and nothing is excused.
+    """
+    flags = np.zeros((len(course.goals), len(CONSTRAINTS)), dtype=bool)
+    features = trial.T_world_feature[: len(course.goals), :3, 3]
+    for rule in PLACE_RULES:
+        excused, beyond = np.ones(len(flags), dtype=bool), np.zeros(len(flags), dtype=bool)
+        for of, joints in (("joints", course.joints), ("setpoints", course.setpoints)):
+            place = (scene.T_world_base @ scene.arm.forward(joints[:-1]))[:, :3, 3]
+            depth = broken_m(place, features, scene)[rule]
+            broken = np.nan_to_num(depth, nan=-1.0) > TOLERANCE_M
+            if broken.any():
+                excused &= unavoidable(course, trial, scene, rule, of=cast(Of, of)) | ~broken
+                beyond |= broken
+        # Sample k is after step k - 1.
+        flags[:-1, CONSTRAINTS.index(rule)] = (excused & beyond)[1:]
+    return flags
 
 
 def _bits(flags: Any) -> list[int]:
