@@ -28,6 +28,8 @@ FAMILIES: dict[str, tuple[tuple[str, ...], str, float]] = {
 }
 NOTHING = {"told_lag": 1.0}
 ERRORS = {"vva_deg": "VVA [deg]", "fd_mm": "FD [mm]", "vva_true_deg": "true VVA [deg]"}
+# Of these the controllers' are orders of magnitude apart; the third is the registration's first of all.
+LOGARITHMIC = ("vva_deg", "fd_mm")
 TABLE = (
     VVA,
     FD,
@@ -126,7 +128,10 @@ def _draw_lines(
         at = names.index(name)
         marker, colour = MARKERS[at % len(MARKERS)], COLOURS[at % len(COLOURS)]
         panel.plot(*zip(*points, strict=True) if points else ((), ()), marker=marker, ms=4, color=colour, label=name)
-    panel.set_yscale("log")
+    if error in LOGARITHMIC:
+        panel.set_yscale("log")
+    else:
+        panel.set_ylim(bottom=0)
     panel.grid(color="0.9", lw=0.6)
     panel.set_axisbelow(True)
     for side in ("top", "right"):
