@@ -109,6 +109,9 @@ def draw_robustness(found: Sequence[Level], path: Path, title: str) -> bool:
             if column == 0:
                 panel.set_ylabel(label)
         axes[-1, column].set_xlabel(FAMILIES[family][1])
+    for panel, error in zip(axes[:, 0], ERRORS, strict=True):
+        if error not in LOGARITHMIC:
+            panel.set_ylim(bottom=0)  # after all of its row are drawn: it ends their scaling
     handles = {line.get_label(): line for panel in axes.flat for line in panel.get_lines()}
     figure.legend(
         [handles[name] for name in names if name in handles], [name for name in names if name in handles],
@@ -130,8 +133,6 @@ def _draw_lines(
         panel.plot(*zip(*points, strict=True) if points else ((), ()), marker=marker, ms=4, color=colour, label=name)
     if error in LOGARITHMIC:
         panel.set_yscale("log")
-    else:
-        panel.set_ylim(bottom=0)
     panel.grid(color="0.9", lw=0.6)
     panel.set_axisbelow(True)
     for side in ("top", "right"):
