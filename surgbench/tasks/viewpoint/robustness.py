@@ -28,6 +28,8 @@ FAMILIES: dict[str, tuple[tuple[str, ...], str, float]] = {
 }
 NOTHING = {"told_lag": 1.0}
 ERRORS = {"vva_deg": "VVA [deg]", "fd_mm": "FD [mm]", "vva_true_deg": "true VVA [deg]"}
+# Of these the controllers' are orders of magnitude apart; the third is the registration's first of all.
+LOGARITHMIC = ("vva_deg", "fd_mm")
 TABLE = (
     VVA,
     FD,
@@ -107,6 +109,9 @@ def draw_robustness(found: Sequence[Level], path: Path, title: str) -> bool:
             if column == 0:
                 panel.set_ylabel(label)
         axes[-1, column].set_xlabel(FAMILIES[family][1])
+    for panel, error in zip(axes[:, 0], ERRORS, strict=True):
+        if error not in LOGARITHMIC:
+            panel.set_ylim(bottom=0)  # after all of its row are drawn: it ends their scaling
     handles = {line.get_label(): line for panel in axes.flat for line in panel.get_lines()}
     figure.legend(
         [handles[name] for name in names if name in handles], [name for name in names if name in handles],
@@ -126,7 +131,8 @@ def _draw_lines(
         at = names.index(name)
         marker, colour = MARKERS[at % len(MARKERS)], COLOURS[at % len(COLOURS)]
         panel.plot(*zip(*points, strict=True) if points else ((), ()), marker=marker, ms=4, color=colour, label=name)
-    panel.set_yscale("log")
+    if error in LOGARITHMIC:
+        panel.set_yscale("log")
     panel.grid(color="0.9", lw=0.6)
     panel.set_axisbelow(True)
     for side in ("top", "right"):
