@@ -39,8 +39,9 @@ DISCLAIMER = (
     "and what teleoperation does when its view moves, would do to *anybody* who corrects what is seen, late and in "
     "proportion. What it can't say: how well people do in any of these conditions, that one is better for them than "
     "another, or anything about the article's participants. Its level (seconds, collisions) hangs on constants that "
-    "are our choice; differences between rows, with the same hands on the same wires, hang on them less. The published "
-    "figures stand beside for their definitions, not as a target: nothing was fitted to them."
+    "are our choice; differences between rows, with the same hands on the same wires, hang on them less. One constant, "
+    "how exactly edges are seen, is fitted: on other wires, to ENDO's share of time in contact. STAT and AUT are what "
+    "then comes out. Nothing else is fitted to the published figures, which stand beside."
 )
 READING = (
     "Time: there and back; collisions: contacts of ring and wire of at least 0.1 s that are 0.2 mm apart; in contact: "
