@@ -70,7 +70,7 @@ def complete(row: ViewpointRow, conditions: Conditions, dataset: ViewpointDatase
     tracker = plug("tracker", row.tracker, row.options, "viewpoint")
     _check_hand(row, dataset)
     return ViewpointSettings(
-        row_id=row.row_id or tracker.name,
+        row_id=row.row_id or "-".join([tracker.name, *filter(None, [row.hand]), *(["steady"] if row.steady else [])]),
         tracker=tracker,
         conditions=conditions,
         sequences=row.sequences,
