@@ -231,7 +231,7 @@ def test_a_hand_leaves_a_record_of_its_own_way(hands: Path, tmp_path: Path) -> N
     assert np.ptp(np.array(first["frames"]["ring"]), axis=0).max() == 0
     assert first["errors"]["task_time_s"] == [None]
     surgbench("video", hands, "--every", 100, "--frames", 1, "--out", tmp_path)
-    assert (tmp_path / "000-static.mp4").is_file()
+    assert (tmp_path / "000-static-endoscope.mp4").is_file()
 
 
 @pytest.mark.slow

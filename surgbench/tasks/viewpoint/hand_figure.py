@@ -11,7 +11,8 @@ import numpy as np
 from surgbench.files import write_atomic
 from surgbench.report.figures import FIGURE_PNG
 from surgbench.reproduce.published import Figure as PublishedFigure
-from surgbench.tasks.viewpoint.hand_page import FIG7, MEASURES, condition
+from surgbench.tasks.viewpoint.hand_columns import MEASURES
+from surgbench.tasks.viewpoint.hand_page import FIG7, condition
 
 if TYPE_CHECKING:
     from surgbench.reproduce.results import Results

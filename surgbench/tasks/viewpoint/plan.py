@@ -85,7 +85,7 @@ def complete(row: ViewpointRow, conditions: Conditions, dataset: ViewpointDatase
     disturbance = Disturbance(**{level.name: getattr(row, level.name) for level in fields(Disturbance)})
     _check_hand(row, disturbance, dataset)
     return ViewpointSettings(
-        row_id=row.row_id or tracker.name,
+        row_id=row.row_id or "-".join([tracker.name, *filter(None, [row.hand]), *(["steady"] if row.steady else [])]),
         tracker=tracker,
         conditions=conditions,
         sequences=row.sequences,

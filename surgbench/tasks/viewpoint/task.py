@@ -108,8 +108,9 @@ class ViewpointTask(Task):
     def shown(self) -> tuple[Column, ...]:
         """The article's measures."""
         from surgbench.tasks.viewpoint.columns import COLUMNS
+        from surgbench.tasks.viewpoint.hand_columns import HAND_SHOWN
 
-        return COLUMNS
+        return (*COLUMNS, *HAND_SHOWN)
 
     def rows(self, head: Row, records: list[ViewpointRecord]) -> list[Row]:
         """One row for every subset of the samples, and for every camera."""

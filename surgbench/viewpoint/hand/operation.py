@@ -297,7 +297,7 @@ class Operating:
         place_m, turn_rad = self._sights[code].uncertainty(max(depth, 1e-3), free or inside)
         pace = 1.0
         if not free:
-            place_m, turn_rad, pace = np.full(3, people.hidden_m), np.full(3, people.widest_rad), people.hidden_pace
+            place_m, turn_rad, pace = people.hidden * place_m, people.hidden * turn_rad, people.hidden_pace
         inwards = camera[:3, :3].T
         to_wire, ahead, turn = (inwards @ one for one in self._what_is_wrong())
         to_wire = to_wire + place_m * blur[:3]
