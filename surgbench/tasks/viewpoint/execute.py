@@ -105,7 +105,7 @@ def measure(course: Course, trial: Trial, scene: ViewpointScene, pictures: Pictu
 
 
 def _unavoidable(course: Course, trial: Trial, scene: ViewpointScene) -> NDArray[np.bool_]:
-    """``(T, 5)`` which rules no motion could have kept after each step, by the joints or by the set points.
+    """``(T, 5)`` which rules no motion could have kept after each step.
 
     Both are judged (:func:`surgbench.viewpoint.rules.reported_depths`); what only one of them breaks is excused for that
     one alone. After the last step the feature is not known anew, and nothing is excused.

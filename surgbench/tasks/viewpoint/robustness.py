@@ -38,9 +38,9 @@ TABLE = (
     PN,
     TRUE_VVA,
     Column("visibility_any_percent", "seen any", "%", 2),
-    Column("no_go_violations", "in the zone"),
-    Column("floor_violations", "below the floor"),
-    Column("proximity_violations", "too near"),
+    Column("no_go_samples", "in the zone"),
+    Column("floor_samples", "below the floor"),
+    Column("proximity_samples", "too near"),
     P999,
 )
 # Okabe and Ito's, apart for colour-blind eyes too.
