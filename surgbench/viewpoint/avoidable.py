@@ -15,9 +15,9 @@ needed even so is dropped, one whose middle or best corner reaches it is the ans
 
 What is not proven: that a motion which keeps the rule at this sample keeps all rules at all samples on the way, so that
 a sample that is *not* called unavoidable may have been so; and nothing about what was done before that state. An arm
-that is driven at the zone at full speed breaks its rule unavoidably in the end. Ask for a longer horizon too. The future
-of the feature is taken as known: a controller does not know it. A set point's velocity is known from its differences up
-to half a step's acceleration, by which the box is wider than what was possible.
+that is driven at the zone at full speed breaks its rule unavoidably in the end: ask for a longer horizon, too. The
+feature's future is taken as known: a controller does not know it. A set point's velocity is known from its differences
+up to half a step's acceleration, by which the box is wider than what was possible.
 """
 
 from __future__ import annotations

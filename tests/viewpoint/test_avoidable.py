@@ -28,7 +28,7 @@ SPEED_UP_M = ARM.acceleration[2] * DT_S**2
 
 
 def resting(joints: FloatArray, steps: int, feature_m: FloatArray) -> tuple[Course, Trial, ViewpointScene]:
-    """An arm that rests, and a feature ``(steps, 3)``; the zone is far away and its base 1 m below the remote centre."""
+    """An arm that rests, and a feature ``(steps, 3)``; the zone is far away, its base 1 m below the remote centre."""
     trial = make_trial(feature_poses(feature_m, np.tile([1.0, 0.0, 0.5], (steps, 1))), np.eye(4), joints)
     far = np.array([[5.0, 5, -1], [5.1, 5, -1], [5.1, 5.1, -1], [5, 5.1, -1], [5, 5, -0.9]])
     scene = make_scene(trial)
@@ -46,7 +46,7 @@ def with_floor(scene: ViewpointScene, depth_m: float) -> ViewpointScene:
 
 @pytest.mark.parametrize("steps", [1, 2, 5])
 def test_below_the_floor_the_insertion_decides(steps: int) -> None:
-    """From rest n steps of full acceleration raise the set point by a dt^2 n (n + 1) / 2; tilts add some hundredths of a millimetre."""
+    """From rest n steps of full acceleration raise the set point by a dt^2 n (n + 1) / 2; tilts add very little."""
     course, trial, scene = resting(DOWN, 40, np.tile([0.2, 0.0, -0.2], (40, 1)))
     # Beside that, what is not known of the velocity: half a step's acceleration, all the time.
     possible_m = SPEED_UP_M * (steps * (steps + 1) / 2 + steps / 2)
