@@ -14,7 +14,6 @@ from surgbench.trackers.viewing.advance import FITTED, MEMORY, advance
 from surgbench.trackers.viewing.world import make_world
 from surgbench.viewpoint.contract import ViewCommand, ViewpointObservation, ViewpointScene, ViewpointTracker
 
-
 Angle = Annotated[float, Field(ge=0, lt=90)]
 
 
@@ -110,7 +109,8 @@ class Gaze(ViewpointTracker):
         target = np.empty(6)
         way = advance(
             self._world, self._options, GOAL, WAY, STEP, self._iterations, observation.index, pose, self._motion,
-            self._last, self._goal, self._memory, observation.joints, observation.setpoint, observation.setpoint_velocity, target,
+            self._last, self._goal, self._memory, observation.joints, observation.setpoint,
+            observation.setpoint_velocity, target,
         )  # fmt: skip
         velocity = (target - observation.setpoint) / self._dt_s
         return ViewCommand(target, mode="servo", velocity=velocity, solver=way == FITTED)

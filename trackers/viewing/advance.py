@@ -11,10 +11,10 @@ from surgbench.geometry import FloatArray
 from surgbench.trackers.viewing.approach import chase, track
 from surgbench.trackers.viewing.barrier import guard
 from surgbench.trackers.viewing.brake import secure
+from surgbench.trackers.viewing.choice import ray, seek
 from surgbench.trackers.viewing.fit import fit
-from surgbench.trackers.viewing.goal import look_nearly, place, seek
+from surgbench.trackers.viewing.look import look_nearly
 from surgbench.trackers.viewing.pace import pace
-from surgbench.trackers.viewing.residuals import DISTANCE, DIRECTION, HUBER, RULE, SOFT
 from surgbench.trackers.viewing.way import arc, clear, go_round
 from surgbench.trackers.viewing.world import ACCELERATION, LOWER, UPPER, VELOCITY, World
 
@@ -158,18 +158,10 @@ def advance(
     )  # fmt: skip
 
     # Where the camera would be if it looked at the feature from where the slow joints are, and where it should be.
-    virtual, here, there, p = setpoint.copy(), np.empty(3), np.empty(3), np.empty(3)
+    virtual, p = setpoint.copy(), np.empty(3)
     virtual[3:] = last[3:]
-    place(world, virtual, here)
-    place(world, goal, there)
-    start_m = end_m = 0.0
-    for k in range(3):
-        start_m += (here[k] - feature[k]) ** 2
-        end_m += (there[k] - later[k]) ** 2
-    start_m, end_m = max(math.sqrt(start_m), 1e-6), max(math.sqrt(end_m), 1e-6)
     start, end, across = np.empty(3), np.empty(3), np.empty(3)
-    for k in range(3):
-        start[k], end[k] = (here[k] - feature[k]) / start_m, (there[k] - later[k]) / end_m
+    start_m, end_m = ray(world, virtual, feature, start), ray(world, goal, later, end)
     direct(world, later, tool, start, start_m, end, end_m, virtual, memory)
     further = 0.0
     if memory[ROUND] > 0.0:

@@ -20,7 +20,7 @@ from surgbench.compiled import compiled
 from surgbench.geometry import FloatArray
 from surgbench.trackers.viewing.quadratic import solve_bounded
 from surgbench.trackers.viewing.residuals import VIEW, view
-from surgbench.trackers.viewing.rules import FLOOR, RULES, SPHERE, ZONE, best_face, clearances
+from surgbench.trackers.viewing.rules import RULES, best_face, clearances
 from surgbench.trackers.viewing.world import ACCELERATION, World
 from surgbench.viewpoint.kinematics import forward, jacobian
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from surgbench.compiled import compiled
 from surgbench.geometry import FloatArray
-from surgbench.trackers.viewing.goal import place
+from surgbench.trackers.viewing.look import place
 from surgbench.trackers.viewing.rules import best_face
 from surgbench.trackers.viewing.world import ACCELERATION, World
 

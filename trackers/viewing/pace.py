@@ -8,7 +8,7 @@ import numpy as np
 
 from surgbench.compiled import compiled
 from surgbench.geometry import FloatArray
-from surgbench.trackers.viewing.goal import look_nearly
+from surgbench.trackers.viewing.look import look_nearly
 from surgbench.trackers.viewing.way import arc
 from surgbench.trackers.viewing.world import ACCELERATION, VELOCITY, World
 

@@ -7,7 +7,8 @@ world's up w, all in the arm's base frame, the residuals, each over its toleranc
 - level: ``x . w``,
 - distance: ``|p - f| - d``,
 - direction: ``u - n``, with Huber's loss, so that a far direction pulls no harder than a near one,
-- rules: how far p is past each of them (:mod:`surgbench.trackers.viewing.rules`), margins included; zero where it is not.
+- rules: how far p is past each of them (:mod:`surgbench.trackers.viewing.rules`), margins included; zero where it is
+  not.
 
 The article's costs (C_v = 1 - cos, under a Huber loss) are of fourth order in the angle, and so flat that its optimiser
 stops degrees away; residuals in the angle itself are quadratic and Gauss-Newton steps converge in a few.
@@ -28,7 +29,7 @@ from surgbench.viewpoint.kinematics import forward, jacobian
 VIEW = 5  # gaze, level, distance
 TURN = 8  # and the direction
 RESIDUALS = TURN + RULES
-# Where the weights stand, one over the tolerances: rad, rad, m, rad; Huber's threshold in tolerances; rules, and cone, m.
+# Where the weights stand, one over the tolerances: rad, rad, m, rad; Huber's threshold in tolerances; rules, cone, m.
 GAZE, LEVEL, DISTANCE, DIRECTION, HUBER, RULE, SOFT = range(7)
 
 

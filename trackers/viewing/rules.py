@@ -10,7 +10,7 @@ from surgbench.compiled import compiled
 from surgbench.geometry import FloatArray
 from surgbench.trackers.viewing.world import World
 
-# Rules of place, then of the direction in which the feature sees the camera; the last is no rule, but kept where it can.
+# Rules of place, then of the direction in which the feature sees the camera; the last is a wish and no rule.
 FLOOR, ZONE, SPHERE, SIDE, ABOVE, POLE, CONE = range(7)
 RULES = 7
 # A feature closer than this to the camera has no direction.
@@ -36,10 +36,10 @@ def clearances(
 ) -> None:
     """Metres to where each rule is broken, negative beyond, and how they change with the camera's place.
 
-    With the ray ``r = p - f`` from feature to camera: floor ``n . p - o``; zone ``o - n . p`` of one face; sphere ``|r| -
-    r_min``; side ``s . r - sin |r|``; above ``up . r - sin |r|``; pole ``cos |r| - up . r``; cone ``(sqrt((x/a)^2 +
-    (y/b)^2) - |z|) / 2`` with r's components in the feature's frame, z along the tool, y along the normal, and the tangents
-    a, b of its angles. The margins of angles are in them, those in metres are not.
+    With the ray ``r = p - f`` from feature to camera: floor ``n . p - o``; zone ``o - n . p`` of one face; sphere
+    ``|r| - r_min``; side ``s . r - sin |r|``; above ``up . r - sin |r|``; pole ``cos |r| - up . r``; cone
+    ``(sqrt((x/a)^2 + (y/b)^2) - |z|) / 2`` with r's components in the feature's frame, z along the tool, y along the
+    normal, and the tangents a, b of its angles. The margins of angles are in them, those in metres are not.
 
     Args:
         world: The rules.

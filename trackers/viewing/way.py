@@ -13,7 +13,7 @@ import numpy as np
 
 from surgbench.compiled import compiled
 from surgbench.geometry import FloatArray
-from surgbench.trackers.viewing.goal import look
+from surgbench.trackers.viewing.look import look
 from surgbench.trackers.viewing.rules import worst
 from surgbench.trackers.viewing.world import World
 

@@ -31,12 +31,12 @@ class World(NamedTuple):
         guard_m: Kept by every step, less than that.
         sine: ``(4,)``: of the angles kept from the side's plane, above the feature, and of the camera's y axis from the
             wrong side; and the cosine of the cap below the pole.
-        cone: ``(2,)`` tangents of the angles kept from the tool's axis, in the ring's plane and towards its normal; 0 for
-            none.
+        cone: ``(2,)`` tangents of the angles kept from the tool's axis, in the ring's plane and towards its normal; 0
+            for none.
         dt_s: Period.
         lag_s: Of the joints.
-        starts: ``(n, 3)`` unit vectors from the feature, all over the side on which the camera may be: where fits begin,
-            and ways round go through.
+        starts: ``(n, 3)`` unit vectors from the feature, all over the side on which the camera may be: where fits
+            begin, and ways round go through.
     """
 
     arm: FloatArray
@@ -81,8 +81,8 @@ def make_world(
         guard_m: As :attr:`World.guard_m`.
         pole_rad: Angle kept from the vertical through the feature.
         side_rad: Angle kept from the side's plane.
-        above_rad: Angle by which the camera stays above the feature's level where there is a preferred side: looking up,
-            its y axis points to the wrong side.
+        above_rad: Angle by which the camera stays above the feature's level where there is a preferred side: looking
+            up, its y axis points to the wrong side.
         cone_rad: ``(2,)`` angles kept from the tool's axis, in the ring's plane and towards its normal.
         wrist_rad: Angle that fitted goals keep from the wrist's limits.
     """

@@ -1,4 +1,4 @@
-"""Where the camera should be in the end: the naive pose where it can be had, else the best fit of several starts."""
+"""The joints of a camera that looks at the feature from a direction, and where the camera is."""
 
 from __future__ import annotations
 
@@ -9,18 +9,11 @@ import numpy as np
 from surgbench.compiled import compiled
 from surgbench.geometry import FloatArray
 from surgbench.trackers.viewing.fit import fit
-from surgbench.trackers.viewing.residuals import DIRECTION, HUBER
-from surgbench.trackers.viewing.rules import worst
 from surgbench.trackers.viewing.world import LOWER, UPPER, World
 from surgbench.viewpoint.kinematics import forward, inverse
 
-# Between neighbouring starts, radians; by less than this share of its cost no other goal is left for.
-APART_RAD = 0.35
-BETTER = 0.85
-# A start is fitted so many times longer than the goal, which is nearly there.
-LONGER = 3
+# An axis is vertical where its level part is shorter.
 VERTICAL = 1e-6
-ROLL = 3
 
 
 @compiled(makes_arrays=True, calls="viewpoint")
@@ -124,64 +117,3 @@ def place(world: World, joints: FloatArray, p: FloatArray) -> None:
     forward(world.arm, joints, pose)
     for k in range(3):
         p[k] = pose[k, 3] + world.reach_m * pose[k, 2]
-
-
-@compiled(makes_arrays=True, calls="viewpoint")
-def seek(
-    world: World,
-    feature: FloatArray,
-    normal: FloatArray,
-    tool: FloatArray,
-    weights: FloatArray,
-    iterations: int,
-    turn: int,
-    near: FloatArray,
-    goal: FloatArray,
-) -> bool:
-    """Where the camera should be in the end.
-
-    Args:
-        world: Arm and rules.
-        feature: ``(3,)``.
-        normal: ``(3,)``.
-        tool: ``(2, 3)``.
-        weights: ``(7,)`` of the residuals.
-        iterations: Of the fit from the last goal.
-        turn: Which of the world's starts is tried besides; all come round.
-        near: ``(6,)`` the present set point, whose turn of the roll is taken.
-        goal: ``(6,)`` the last step's, replaced or improved.
-
-    Returns:
-        Whether it is the naive pose.
-    """
-    p, joints = np.empty(3), np.empty(6)
-    if look(world, feature, normal, world.distance_m, near, p, joints) >= 0.0:
-        if worst(world, p, feature, tool, world.margin_m)[0] >= 0.0:
-            goal[:] = joints
-            return True
-    lower, upper = world.inner[LOWER], world.inner[UPPER]
-    for joint in range(6):
-        goal[joint] = min(upper[joint], max(lower[joint], goal[joint]))
-    # The turn of the roll that is nearest, if the joint has it.
-    turned = goal[ROLL] + 2 * math.pi * round((near[ROLL] - goal[ROLL]) / (2 * math.pi))
-    if lower[ROLL] <= turned <= upper[ROLL]:
-        goal[ROLL] = turned
-    cost = fit(world, goal, lower, upper, feature, normal, tool, weights, iterations)
-    if len(world.starts) == 0:
-        return False
-    start = world.starts[turn % len(world.starts)]
-    off = 0.0
-    for k in range(3):
-        off += start[k] * normal[k]
-    off = max(math.acos(min(1.0, max(-1.0, off))) - APART_RAD, 0.0)
-    if weights[HUBER] * (weights[DIRECTION] * 2 * math.sin(off / 2) - 0.5 * weights[HUBER]) > BETTER * cost:
-        return False
-    if look(world, feature, start, world.distance_m, near, p, joints) < 0.0:
-        return False
-    if min(worst(world, p, feature, tool, world.margin_m)) < 0.0:
-        return False
-    for joint in range(6):
-        joints[joint] = min(upper[joint], max(lower[joint], joints[joint]))
-    if fit(world, joints, lower, upper, feature, normal, tool, weights, LONGER * iterations) < BETTER * cost:
-        goal[:] = joints
-    return False
