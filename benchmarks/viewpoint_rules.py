@@ -65,7 +65,11 @@ def seen(camera: FloatArray, feature: FloatArray) -> tuple[FloatArray, FloatArra
     return ring, tag
 
 
-def measure(course: Course, trial: Trial, scene: ViewpointScene, proofs: bool) -> tuple[dict[str, Any], dict[str, Any]]:
+# By pose and rule: samples, events, deepest, unavoidable within a lag and within half a second.
+Counts = dict[tuple[str, str], list[Any]]
+
+
+def measure(course: Course, trial: Trial, scene: ViewpointScene, proofs: bool) -> tuple[Counts, dict[str, Any]]:
     """Counts of a trial by rule and pose, and its errors by subset."""
     count = len(course.goals)
     reported = trial.T_world_feature[:count]
@@ -75,7 +79,7 @@ def measure(course: Course, trial: Trial, scene: ViewpointScene, proofs: bool) -
     }
     if trial.truth is not None:
         cases["true"] = (trial.truth.T_world_base, course.joints, trial.truth.T_world_feature[:count])
-    rules: dict[str, Any] = {}
+    rules: Counts = {}
     for case, (base, joints, feature) in cases.items():
         camera = base @ scene.arm.forward(joints[:count])
         depths = broken_m(camera[:, :3, 3], feature[:, :3, 3], scene)
@@ -92,7 +96,7 @@ def measure(course: Course, trial: Trial, scene: ViewpointScene, proofs: bool) -
     against = naive_violations(trial, scene).any
     subsets = {
         "all": trial.measured,
-        "unconstrained": trial.measured & ~against,
+        "unconstrained": trial.measured & np.logical_not(against),
         "constrained": trial.measured & against,
     }
     names = ("vva_deg", "fd_mm", "pf_deg", "an_deg", "pn_full_mm", "vva_true_deg")
@@ -101,7 +105,7 @@ def measure(course: Course, trial: Trial, scene: ViewpointScene, proofs: bool) -
     }
     base, _, feature = cases["true" if trial.truth is not None else "joints"]
     ring, tag = seen(base @ scene.arm.forward(course.joints[:count]), feature)
-    found["seen"] = [int((~ring).sum()), int((~tag).sum()), count]
+    found["seen"] = [int(np.logical_not(ring).sum()), int(np.logical_not(tag).sum()), count]
     return rules, found
 
 
@@ -140,8 +144,8 @@ def main() -> None:
                     rules[key] = [
                         max(a, b) if k == 2 else a + b for k, (a, b) in enumerate(zip(old, values, strict=True))
                     ]
-                for key, values in errors.items():
-                    found.setdefault(key, []).append(values)
+                for subset, values in errors.items():
+                    found.setdefault(subset, []).append(values)
             print(f"\n`{name}` on {path.name}\n")
             print("| poses | rule | samples | events | deepest | unavoidable in a lag | in 0.5 s |")
             print("|---|---|---:|---:|---:|---:|---:|")

@@ -27,7 +27,7 @@ def wander(rng: np.random.Generator, steps: int, extent: FloatArray, hertz: floa
 
 
 def lawful_trial(rng: np.random.Generator, steps: int) -> Trial | None:
-    """A ring that wanders in and above the zone, and a camera that rests where it may; ``None`` if there is no place."""
+    """A ring that wanders in and above the zone, a camera that rests where it may; ``None`` if there is no place."""
     base = rigid_transform(rotation_from_vector(rng.normal(0, 0.15, 3)), REMOTE_CENTRE_M + rng.uniform(-0.03, 0.03, 3))
     middle = rng.uniform([-0.03, -0.03, 0.01], [0.03, 0.03, 0.06])
     # Up to some 0.1 m/s, and 90 degrees in a second.

@@ -236,7 +236,7 @@ def decide(arm: FloatArray, reach_m: float, box: FloatArray, demand: FloatArray,
 def _value(p: FloatArray, demand: FloatArray) -> float:
     """Along the plane's normal, or from the point."""
     if demand[0] > 0.0:
-        return p[0] * demand[1] + p[1] * demand[2] + p[2] * demand[3]
+        return float(p[0] * demand[1] + p[1] * demand[2] + p[2] * demand[3])
     return math.sqrt((p[0] - demand[1]) ** 2 + (p[1] - demand[2]) ** 2 + (p[2] - demand[3]) ** 2)
 
 
@@ -251,7 +251,7 @@ def _farthest(
             slope = motion[0, joint] * demand[1] + motion[1, joint] * demand[2] + motion[2, joint] * demand[3]
             value += abs(slope) * half[joint]
             corner[joint] = middle[joint] + (half[joint] if slope > 0.0 else -half[joint])
-        return value
+        return float(value)
     best, chosen = -1.0, 0
     place = np.empty(3)
     for corners in range(64):

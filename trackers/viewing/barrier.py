@@ -93,7 +93,7 @@ def choose_face(world: World, joints: FloatArray, velocity: FloatArray) -> int:
     out = world.faces[soon, 3]
     for k in range(3):
         out -= world.faces[soon, k] * p[k]
-    return soon if out >= world.guard_m else best_face(world, p)
+    return int(soon if out >= world.guard_m else best_face(world, p))
 
 
 @compiled(makes_arrays=True, calls="viewpoint")

@@ -33,7 +33,7 @@ def standing(world: World, p: FloatArray) -> float:
     for k in range(3):
         floor += world.floor[k] * p[k]
         zone -= world.faces[face, k] * p[k]
-    return min(floor, zone)
+    return float(min(floor, zone))
 
 
 @compiled(makes_arrays=True, calls="viewpoint")

@@ -39,7 +39,7 @@ def ray(world: World, joints: FloatArray, feature: FloatArray, direction: FloatA
     length = max(math.sqrt(length), CLOSEST_M)
     for k in range(3):
         direction[k] /= length
-    return length
+    return float(length)
 
 
 @compiled(makes_arrays=True, calls="viewpoint")

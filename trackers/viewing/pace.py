@@ -108,4 +108,4 @@ def pace(
         fastest = min(fastest, math.sqrt(bound[n] ** 2 + 2 * hardest * max(n * apart - speed_m_s * dt, 0.0)))
     fastest = max(min(fastest * patience, speed_m_s + hardest * dt), 0.0)
     along[0] = min(fastest * dt, length)
-    return fastest
+    return float(fastest)

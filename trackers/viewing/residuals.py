@@ -87,7 +87,7 @@ def view(
             level += turned_x * world.up[k]
         J[3, joint] = weights[LEVEL] * level
         J[4, joint] = weights[DISTANCE] * along
-    return length
+    return float(length)
 
 
 @compiled(makes_arrays=True, calls="viewpoint")

@@ -107,8 +107,8 @@ def measure(course: Course, trial: Trial, scene: ViewpointScene, pictures: Pictu
 def _unavoidable(course: Course, trial: Trial, scene: ViewpointScene) -> NDArray[np.bool_]:
     """``(T, 5)`` which rules no motion could have kept after each step.
 
-    Both are judged (:func:`surgbench.viewpoint.rules.reported_depths`); what only one of them breaks is excused for that
-    one alone. After the last step the feature is not known anew, and nothing is excused.
+    Joints and set points are both judged (:func:`surgbench.viewpoint.rules.reported_depths`); each has to be excused
+    where it breaks a rule. After the last step the feature is not known anew, and nothing is excused.
     """
     flags = np.zeros((len(course.goals), len(CONSTRAINTS)), dtype=bool)
     features = trial.T_world_feature[: len(course.goals), :3, 3]
