@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from surgbench.generators.wire_chaser.scene import rest
 from surgbench.geometry import FloatArray, rigid_transform, rotation_from_vector
 from surgbench.tasks.viewpoint.conformance.worlds import DT_S, REMOTE_CENTRE_M, ZONE_M, feature_poses, make_trial
 from surgbench.viewpoint.avoidable import PLACE_RULES, TOLERANCE_M, broken_m, unavoidable
 from surgbench.viewpoint.camera_arm import CameraArm
 from surgbench.viewpoint.contract import ViewpointScene
+from surgbench.viewpoint.setting_up import rest
 from surgbench.viewpoint.simulator import Course
 from surgbench.viewpoint.trial import Trial
 from surgbench.viewpoint.workspace import NoGoZone, Workspace
