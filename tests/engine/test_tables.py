@@ -28,7 +28,7 @@ RESULTS = Path(__file__).parents[2] / "results"
 # Tables that were made again have records.json beside them; the others were only reported.
 REPRODUCED = sorted(path.parent.name for path in RESULTS.glob(f"*/{RECORDS_JSON}"))
 REPORTED = sorted({path.parent.name for path in RESULTS.glob(f"*/{LEADERBOARD_CSV}")} - set(REPRODUCED))
-# Measured by an older version, whose columns are not today's; to be made anew with all rows of configs/tables/autocam.yaml.
+# Measured by an older version, whose columns are not those of today: to be made anew.
 OLD = pytest.mark.xfail(strict=True, reason="results/autocam is of the version before rules were events")
 CURRENT = [pytest.param(name, marks=OLD) if name == "autocam" else name for name in REPRODUCED]
 ALL_TYPES = (*text("row_id"), *count("frames"), *number("error_m"), *flag("floor"))
