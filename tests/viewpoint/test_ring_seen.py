@@ -101,7 +101,7 @@ def test_a_box_is_in_the_way_where_its_slabs_say(size: FloatArray, origin: Float
     free = np.empty((1, 1), dtype=np.bool_)
     mark_free(origin[None], target[None], 0.0, lay_out(box), free)
     way = target - origin
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         ends = np.stack([(-size / 2 - origin) / way, (size / 2 - origin) / way])
     entry, exit_ = np.fmin(*ends), np.fmax(*ends)
     outside = ((way == 0) & (np.abs(origin) > size / 2)).any()

@@ -22,6 +22,8 @@ STEEL: Colour = (196, 200, 206)
 DARK: Colour = (92, 96, 104)
 WIRE: Colour = (70, 120, 200)
 BODY: Colour = (60, 140, 90)
+# What reflects less than this is drawn dark: of the instrument that holds the ring, the shaft.
+DARKEST_STEEL = 0.3
 # The instrument's shaft, and the thinner camera head at its end.
 SHAFT_RADIUS_M, HEAD_RADIUS_M = 0.0042, 0.0035
 # How much of the shaft is shown beyond the remote centre.
@@ -64,13 +66,12 @@ def held_ring() -> Mesh:
     subject = grasp_object(tool=True)
     solids = []
     for number, solid in enumerate(subject.solids):
-        # In the order of grasp_object: prism, ring, stem, jaws, shaft.
-        colour = (STEEL, RING, STEEL, STEEL, DARK)[number]
+        # In the order of grasp_object: the prism, the ring, then what holds it, the shaft the darkest.
+        colour = RING if number == 1 else (DARK if solid.reflectance < DARKEST_STEEL else STEEL)
         faces = np.asarray(solid.mesh.faces, dtype=np.int32)
         colours = np.tile(np.array(colour, dtype=np.uint8), (len(faces), 1))
         solids.append(Mesh(np.asarray(solid.mesh.vertices_m, dtype=np.float64), faces, colours))
-    farther = rod(np.array([0.0, 0.0, -0.24]), np.array([0.0, 0.0, -0.09]), SHAFT_RADIUS_M, DARK, 24)
-    return joined([*solids, farther, *_tags(subject)])
+    return joined([*solids, *_tags(subject)])
 
 
 def _tags(subject: Subject) -> list[Mesh]:
