@@ -17,7 +17,7 @@ from surgbench.viewpoint.hand.contact import RingOnWire, lasting_contacts, settl
 from surgbench.viewpoint.hand.operation import Operating, OperationError, WorksFrom
 from surgbench.viewpoint.hand.performance import performance
 from surgbench.viewpoint.hand.person import Hand, People, Seen, draw_person
-from surgbench.viewpoint.hand.sight import AUXILIARY, ENDOSCOPE, Sight, segment_distance
+from surgbench.viewpoint.hand.sight import AUXILIARY, ENDOSCOPE, Sight
 from surgbench.viewpoint.hand.turns import turn_between, turned
 from surgbench.viewpoint.optics.teleoperation import Teleoperation, TeleoperationSettings
 from surgbench.viewpoint.placement import look_at
@@ -135,20 +135,6 @@ def test_the_tool_hides_the_ring_from_behind_and_a_picture_ends_at_its_border() 
     assert free < 2
     away = look_at(np.array([0.0, 0.11, 0.0]), np.array([0.0, 0.11, 0.2]))
     assert sight.eyes(away, ring) == (0, 0)
-
-
-@given(*[st.tuples(*[st.floats(-1, 1)] * 3).map(np.array)] * 4)
-def test_segments_are_as_far_apart_as_their_nearest_points(
-    a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray
-) -> None:
-    if min(np.linalg.norm(b - a), np.linalg.norm(d - c)) < 1e-3:
-        return
-    share = np.linspace(0, 1, 60)[:, None]
-    one, other = a + share * (b - a), c + share * (d - c)
-    sampled = np.linalg.norm(one[:, None] - other, axis=2).min()
-    exact = segment_distance(a, b, c, d)
-    assert exact <= sampled + 1e-9
-    assert exact >= sampled - 0.06
 
 
 # The hand

@@ -17,22 +17,16 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from surgbench.camera import Camera
 from surgbench.compiled import compiled
 from surgbench.geometry import FloatArray, inverse_transform, rigid_transform
+from surgbench.viewpoint.optics.grasp_object import TUBE_RADIUS_M
+from surgbench.viewpoint.optics.rays import mark_free
 from surgbench.viewpoint.optics.stereo import AUTOCAM_STEREO, StereoCamera
+from surgbench.viewpoint.optics.visibility import POINTS, SEEN_SHARE, covering, ring_points_m
 from surgbench.viewpoint.placement import view_along
-
-# Points of the ring that may be hidden one by one, and how many must not be for it to count as seen.
-RING_POINTS, ENOUGH = 8, 4
-# What may hide the ring, in its frame (z along the tool), as segments with radii: the grasp object (a lozenge prism,
-# here a rod across), the jaws and the shaft of the tool as in surgbench.viewpoint.optics.grasp_object.
-TOOL = np.array([
-    [-0.0105, 0.0, -0.0174, 0.0105, 0.0, -0.0174, 0.0058],
-    [0.0, 0.0, -0.0360, 0.0, 0.0, -0.0230, 0.0025],
-    [0.0, 0.0, -0.2000, 0.0, 0.0, -0.0360, 0.0042],
-])  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,70 +78,33 @@ def endoscope_pose(middle_m: FloatArray) -> FloatArray:
     return rigid_transform(rotation * np.array([-1.0, -1.0, 1.0]), middle_m + ENDOSCOPE_FROM_M)
 
 
-@compiled(makes_arrays=True)
-def count_points(eye: FloatArray, intrinsics: FloatArray, ring_radius: float, tool: FloatArray) -> tuple[int, int]:
-    """How many of the ring's points are inside a picture, and how many of these are not behind the tool.
+@compiled
+def count_points(
+    T_ring_eye: FloatArray, intrinsics: FloatArray, points: FloatArray, free: NDArray[np.bool_]
+) -> tuple[int, int]:
+    """How many points of the ring are inside a picture, and how many of these nothing covers.
 
     Args:
-        eye: ``(4, 4)`` T_ring_eye.
+        T_ring_eye: ``(4, 4)``.
         intrinsics: ``(6,)`` fx, fy, cx, cy, width, height.
-        ring_radius: Of its circle.
-        tool: ``(n, 7)`` rods in the ring's frame: two ends and a radius.
+        points: ``(n, 3)`` in the ring's frame.
+        free: ``(n,)`` what nothing covers.
     """
     inside = seen = 0
-    point = np.empty(3)
-    for number in range(RING_POINTS):
-        angle = 2.0 * math.pi * number / RING_POINTS
-        point[0], point[1], point[2] = ring_radius * math.cos(angle), 0.0, ring_radius * math.sin(angle)
+    for number in range(len(points)):
         x = y = z = 0.0
         for k in range(3):
-            x += eye[k, 0] * (point[k] - eye[k, 3])
-            y += eye[k, 1] * (point[k] - eye[k, 3])
-            z += eye[k, 2] * (point[k] - eye[k, 3])
+            away = points[number, k] - T_ring_eye[k, 3]
+            x += T_ring_eye[k, 0] * away
+            y += T_ring_eye[k, 1] * away
+            z += T_ring_eye[k, 2] * away
         if z <= 0.0:
             continue
         u, v = intrinsics[0] * x / z + intrinsics[2], intrinsics[1] * y / z + intrinsics[3]
-        if not (-0.5 <= u <= intrinsics[4] - 0.5 and -0.5 <= v <= intrinsics[5] - 0.5):
-            continue
-        inside += 1
-        hidden = False
-        for rod in range(len(tool)):
-            if segment_distance(eye[:3, 3], point, tool[rod, :3], tool[rod, 3:6]) < tool[rod, 6]:
-                hidden = True
-                break
-        if not hidden:
-            seen += 1
+        if -0.5 <= u <= intrinsics[4] - 0.5 and -0.5 <= v <= intrinsics[5] - 0.5:
+            inside += 1
+            seen += free[number]
     return inside, seen
-
-
-@compiled
-def segment_distance(a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray) -> float:
-    """The distance of two segments, from ``a`` to ``b`` and from ``c`` to ``d``, ``(3,)`` each, none of them a point.
-
-    (Ericson, Real-Time Collision Detection, 2005, 5.1.9.)
-    """
-    one = other = mixed = ahead = behind = 0.0
-    for k in range(3):
-        p, q, r = b[k] - a[k], d[k] - c[k], a[k] - c[k]
-        one += p * p
-        other += q * q
-        mixed += p * q
-        ahead += p * r
-        behind += q * r
-    denominator = one * other - mixed * mixed
-    s = min(1.0, max(0.0, (mixed * behind - ahead * other) / denominator)) if denominator > 0.0 else 0.0
-    t = (mixed * s + behind) / other
-    if t < 0.0:
-        t = 0.0
-        s = min(1.0, max(0.0, -ahead / one))
-    elif t > 1.0:
-        t = 1.0
-        s = min(1.0, max(0.0, (mixed - ahead) / one))
-    distance = 0.0
-    for k in range(3):
-        gap = a[k] + s * (b[k] - a[k]) - c[k] - t * (d[k] - c[k])
-        distance += gap * gap
-    return math.sqrt(distance)
 
 
 class Sight:
@@ -163,6 +120,7 @@ class Sight:
     def __init__(self, view: View, ring_radius_m: float, noise_px: float, one_eye_m: float) -> None:
         self.view, self._baseline_m = view, view.baseline_m
         self._radius_m, self._noise_px, self._one_eye_m = ring_radius_m, noise_px, one_eye_m
+        self._points_m, self._free = ring_points_m(), np.empty((1, POINTS), dtype=np.bool_)
         self._eyes = [
             (
                 T_camera_eye,
@@ -172,13 +130,18 @@ class Sight:
         ]
 
     def eyes(self, T_world_camera: FloatArray, T_world_ring: FloatArray) -> tuple[int, int]:
-        """How many of both pictures the ring is in, and in how many of these it is not behind the tool."""
+        """How many of both pictures the ring is in, and in how many of these the tool does not hide it.
+
+        Of half of the ring at least; what hides it as in :mod:`surgbench.viewpoint.optics.visibility`.
+        """
         T_ring_camera = inverse_transform(T_world_ring) @ T_world_camera
         inside = free = 0
         for T_camera_eye, intrinsics in self._eyes:
-            within, seen = count_points(T_ring_camera @ T_camera_eye, intrinsics, self._radius_m, TOOL)
-            inside += within >= ENOUGH
-            free += seen >= ENOUGH
+            T_ring_eye = T_ring_camera @ T_camera_eye
+            mark_free(T_ring_eye[None, :3, 3].copy(), self._points_m, TUBE_RADIUS_M, covering(), self._free)
+            within, seen = count_points(T_ring_eye, intrinsics, self._points_m, self._free[0])
+            inside += within >= SEEN_SHARE * POINTS
+            free += seen >= SEEN_SHARE * POINTS
         return inside, free
 
     def uncertainty(self, depth_m: float, eyes: int) -> tuple[FloatArray, FloatArray]:

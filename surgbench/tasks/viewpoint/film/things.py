@@ -12,7 +12,7 @@ from surgbench.geometry import FloatArray
 from surgbench.tasks.viewpoint.film.raster import Mesh, joined
 from surgbench.viewpoint import kinematics
 from surgbench.viewpoint.camera_arm import CameraArm
-from surgbench.viewpoint.optics.grasp_object import Subject, grasp_object
+from surgbench.viewpoint.optics.grasp_object import Solid, Subject, grasp_object, holder, ring
 from surgbench.viewpoint.trial import Wire
 
 Colour = tuple[int, int, int]
@@ -22,12 +22,12 @@ STEEL: Colour = (196, 200, 206)
 DARK: Colour = (92, 96, 104)
 WIRE: Colour = (70, 120, 200)
 BODY: Colour = (60, 140, 90)
-# What reflects less than this is drawn dark: of the instrument that holds the ring, the shaft.
-DARKEST_STEEL = 0.3
 # The instrument's shaft, and the thinner camera head at its end.
 SHAFT_RADIUS_M, HEAD_RADIUS_M = 0.0042, 0.0035
 # How much of the shaft is shown beyond the remote centre.
 BEYOND_M = 0.04
+# What reflects less is drawn dark.
+DARKER = 0.3
 
 
 def _coloured(points_m: FloatArray, faces: NDArray[np.int32], colour: Colour) -> Mesh:
@@ -62,16 +62,16 @@ def ball(centre: FloatArray, radius_m: float, colour: Colour) -> Mesh:
 
 @cache
 def held_ring() -> Mesh:
-    """The ring, the object with its tags, jaws and shaft of the tool, in the feature's frame."""
-    subject = grasp_object(tool=True)
-    solids = []
-    for number, solid in enumerate(subject.solids):
-        # In the order of grasp_object: the prism, the ring, then what holds it, the shaft the darkest.
-        colour = RING if number == 1 else (DARK if solid.reflectance < DARKEST_STEEL else STEEL)
-        faces = np.asarray(solid.mesh.faces, dtype=np.int32)
-        colours = np.tile(np.array(colour, dtype=np.uint8), (len(faces), 1))
-        solids.append(Mesh(np.asarray(solid.mesh.vertices_m, dtype=np.float64), faces, colours))
-    return joined([*solids, *_tags(subject)])
+    """The ring, the object with its tags, and the tool that holds it, in the feature's frame."""
+    held = grasp_object()
+    parts = [_painted(solid, STEEL) for solid in held.solids]
+    parts += [_painted(solid, DARK if solid.reflectance < DARKER else STEEL) for solid in holder()]
+    return joined([*parts, _painted(ring(), RING), *_tags(held)])
+
+
+def _painted(solid: Solid, colour: Colour) -> Mesh:
+    points, faces = solid.mesh.vertices_m, solid.mesh.faces
+    return _coloured(np.asarray(points, dtype=np.float64), np.asarray(faces, dtype=np.int32), colour)
 
 
 def _tags(subject: Subject) -> list[Mesh]:
