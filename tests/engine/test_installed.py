@@ -6,6 +6,7 @@ to say, wherever it lies.
 
 from __future__ import annotations
 
+import itertools
 import os
 import subprocess
 import sys
@@ -15,13 +16,15 @@ import pytest
 from commandline import records, surgbench
 
 import surgbench as package
+from surgbench.extras import EXTRAS
 
 SITE = os.environ.get("SURGBENCH_EXPECT_SITE")
 ROOT = Path(__file__).parents[2]
 FOLDERS = {"surgbench": ".", "trackers": "trackers", "generators": "generators", "configs": "configs"}
 NOT_SHIPPED = ("__pycache__", ".mypy_cache", ".ruff_cache")
-# What the extras install: modules that import one of these at their top are imported where it is used.
-OF_EXTRAS = ("botorch", "embreex", "gpytorch", "linear_operator", "matplotlib", "moderngl", "open3d", "pymeshlab")
+# What the extras install: modules that import one of these at their top are imported where it is used. The last comes
+# with gpytorch.
+OF_EXTRAS = {*itertools.chain.from_iterable(EXTRAS.values()), "linear_operator"}
 
 pytestmark = pytest.mark.skipif(SITE is None, reason="for an installed wheel: make wheel-test")
 
@@ -54,7 +57,7 @@ def test_every_module_imports(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     missing = {name.partition(".")[0] for name in done.stdout.split()}
     absent = {"torch"} if "torch" in missing and not _has_torch() else set()
-    assert missing - absent <= set(OF_EXTRAS)
+    assert missing - absent <= OF_EXTRAS
 
 
 def _has_torch() -> bool:
