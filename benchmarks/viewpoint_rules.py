@@ -3,13 +3,11 @@
     surgbench generate wire-chaser-hard --out data/hard
     python benchmarks/viewpoint_rules.py data/hard --controller gaze --controller autocam
 
-Prints Markdown. Camera and feature are of one moment: the camera where the joints are at a sample, or where their set
-points are, the feature as measured (or truly) at that sample. An event is a row of samples that break a rule by more
-than half a millimetre. A sample counts as unavoidable only with a proof, from the state one servo lag earlier and from
-the state half a second earlier (:mod:`surgbench.viewpoint.avoidable`); none are asked for on true poses, for no
-controller knows them. The second table says what the rules cost: errors in the samples in which no rule speaks against
-the naive pose, in the others, and in all; and in how many samples the ring is in at least one picture and not behind
-the object that holds it, and how many in which no tag is seen by less than 75 degrees off its normal, on true poses.
+Prints Markdown: the events of every rule as records have them (:mod:`surgbench.viewpoint.rules`), and of the samples of
+rules of place how many are proven unavoidable, from the state one servo lag earlier and from half a second earlier
+(:mod:`surgbench.viewpoint.avoidable`); none are asked for on true poses, which no controller knows. The second table
+says what the rules cost: errors in the samples in which no rule speaks against the naive pose, in the others, in all.
+Below it, how often no picture shows half of the ring uncovered, on true poses.
 """
 
 from __future__ import annotations
@@ -20,93 +18,58 @@ from typing import Any
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 
 from surgbench.dataset.open import open_as
-from surgbench.geometry import FloatArray, inverse_transform
 from surgbench.registry import create, find
 from surgbench.tasks.viewpoint.dataset import ViewpointDataset
-from surgbench.viewpoint.avoidable import PLACE_RULES, TOLERANCE_M, broken_m, unavoidable
+from surgbench.viewpoint.avoidable import PLACE_RULES, unavoidable
 from surgbench.viewpoint.contract import ViewpointScene
-from surgbench.viewpoint.optics.grasp_object import CHAMFER_RAD, Tags
 from surgbench.viewpoint.optics.stereo import AUTOCAM_STEREO
+from surgbench.viewpoint.optics.visibility import SEEN_SHARE, ring_shares
+from surgbench.viewpoint.rules import RULE_UNITS, TWINS, after_steps, find_events, reported_depths, true_depths
 from surgbench.viewpoint.scores import course_errors, naive_violations
 from surgbench.viewpoint.simulator import Course, Simulation, make_scene
 from surgbench.viewpoint.trial import Trial
 
 LONG_S = 0.5
-# Half diagonals of the lozenge prism that holds the ring, and how far behind its centre the prism begins.
-BELOW_M, BEHIND_M = 6.07e-3, 11.5e-3
-STEEPEST_DEG = 75.0
-
-
-def events(broken: NDArray[np.bool_]) -> int:
-    """How many rows of true samples there are."""
-    return int((np.diff(broken.astype(int), prepend=0) == 1).sum())
-
-
-def seen(camera: FloatArray, feature: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Whether the ring's centre, and any tag, shows in any picture; ``(T,)`` each."""
-    _, inside = AUTOCAM_STEREO.see(camera, feature[:, :3, 3])
-    back = inverse_transform(feature)
-    ring, tag = np.zeros(len(camera), dtype=bool), np.zeros(len(camera), dtype=bool)
-    wide, flat = BELOW_M / np.sin(CHAMFER_RAD), BELOW_M / np.cos(CHAMFER_RAD)
-    tags = Tags()
-    for eye, T_camera_eye in enumerate((AUTOCAM_STEREO.T_camera_left, AUTOCAM_STEREO.T_camera_right)):
-        place = (back @ camera @ T_camera_eye)[:, :3, 3]
-        x, y, z = np.abs(place[:, 0]), np.abs(place[:, 1]), place[:, 2]
-        hidden = (z < 0) & (x / wide + y / flat <= -z / BEHIND_M)
-        ring |= inside[:, eye] & ~hidden
-        for index in tags.centre_m:
-            pose = tags.T_feature_tag(index)
-            towards = place - pose[:3, 3]
-            cosine = towards @ pose[:3, 2] / np.linalg.norm(towards, axis=1)
-            tag |= inside[:, eye] & (cosine > np.cos(np.radians(STEEPEST_DEG)))
-    return ring, tag
-
-
-# By pose and rule: samples, events, deepest, unavoidable within a lag and within half a second.
+ERRORS = ("vva_deg", "fd_mm", "pf_deg", "an_deg", "pn_full_mm", "vva_true_deg")
+# By twin and rule: samples, events, deepest, unavoidable within a lag and within half a second.
 Counts = dict[tuple[str, str], list[Any]]
 
 
-def measure(course: Course, trial: Trial, scene: ViewpointScene, proofs: bool) -> tuple[Counts, dict[str, Any]]:
-    """Counts of a trial by rule and pose, and its errors by subset."""
-    count = len(course.goals)
-    reported = trial.T_world_feature[:count]
-    cases = {
-        "joints": (scene.T_world_base, course.joints, reported),
-        "set points": (scene.T_world_base, course.setpoints, reported),
-    }
-    if trial.truth is not None:
-        cases["true"] = (trial.truth.T_world_base, course.joints, trial.truth.T_world_feature[:count])
-    rules: Counts = {}
-    for case, (base, joints, feature) in cases.items():
-        camera = base @ scene.arm.forward(joints[:count])
-        depths = broken_m(camera[:, :3, 3], feature[:, :3, 3], scene)
-        for rule, depth in depths.items():
-            broken = np.nan_to_num(depth, nan=-1.0) > TOLERANCE_M
-            rules[case, rule] = [int(broken.sum()), events(broken), 1e3 * float(np.nanmax(depth)), 0, 0]
-            if broken.any() and proofs and case != "true":
-                of = "joints" if case == "joints" else "setpoints"
+def count_events(course: Course, trial: Trial, scene: ViewpointScene, proofs: bool) -> Counts:
+    """How often each rule was broken in a trial."""
+    counts: Counts = {}
+    for twin, depths in zip(TWINS, (reported_depths, true_depths), strict=True):
+        for rule, depth in depths(course, trial, scene).items():
+            found = find_events(depth, rule)
+            counts[twin, rule] = [found.samples, found.count, float(np.nanmax(depth)), 0, 0]
+            if found.samples and proofs and not twin and rule in PLACE_RULES:
                 for column, steps in ((3, None), (4, round(LONG_S / scene.dt_s))):
-                    rules[case, rule][column] = int(unavoidable(course, trial, scene, rule, steps, of=of).sum())  # type: ignore[arg-type]
-        sine = camera[:, :3, 1] @ np.array(scene.workspace.preferred_side)
-        rules[case, "orientation"] = [int((sine > 0).sum()), events(sine > 0), float(sine.max()), 0, 0]
+                    counts[twin, rule][column] = int(unavoidable(course, trial, scene, rule, steps).sum())
+    return counts
+
+
+def mean_errors(course: Course, trial: Trial, scene: ViewpointScene) -> dict[str, list[float]]:
+    """Mean errors of a trial by subset, as :data:`ERRORS`."""
     errors = course_errors(course, trial, scene)
     against = naive_violations(trial, scene).any
     subsets = {
         "all": trial.measured,
-        "unconstrained": trial.measured & np.logical_not(against),
+        "unconstrained": trial.measured & ~against,
         "constrained": trial.measured & against,
     }
-    names = ("vva_deg", "fd_mm", "pf_deg", "an_deg", "pn_full_mm", "vva_true_deg")
-    found: dict[str, Any] = {
-        name: [float(errors[error][mask].mean()) for error in names] for name, mask in subsets.items()
-    }
-    base, _, feature = cases["true" if trial.truth is not None else "joints"]
-    ring, tag = seen(base @ scene.arm.forward(course.joints[:count]), feature)
-    found["seen"] = [int(np.logical_not(ring).sum()), int(np.logical_not(tag).sum()), count]
-    return rules, found
+    return {name: [float(errors[error][mask].mean()) for error in ERRORS] for name, mask in subsets.items()}
+
+
+def unseen(course: Course, trial: Trial, scene: ViewpointScene) -> int:
+    """In how many samples neither picture shows the ring."""
+    base, feature = scene.T_world_base, trial.T_world_feature
+    if trial.truth is not None:
+        base, feature = trial.truth.T_world_base, trial.truth.T_world_feature
+    camera = base @ scene.arm.forward(course.joints[1:])
+    shares = ring_shares(AUTOCAM_STEREO, camera, after_steps(feature, len(camera)))
+    return int((shares < SEEN_SHARE).all(axis=1).sum())
 
 
 def main() -> None:
@@ -124,7 +87,7 @@ def main() -> None:
         for name in options.controller or ["gaze"]:
             rules: dict[Any, list[Any]] = {}
             found: dict[str, list[list[float]]] = {}
-            latency = []
+            latency, hidden = [], []
             for info in dataset.trials:
                 if options.trial and info.id not in options.trial:
                     continue
@@ -134,11 +97,13 @@ def main() -> None:
                 Simulation(controller, trial, scene, np.random.default_rng(0), 40).run()  # compiled
                 course = Simulation(controller, trial, scene, np.random.default_rng(0)).run()
                 latency.append(course.latency_ms)
-                one, errors = measure(course, trial, scene, not options.no_proofs)
+                one = count_events(course, trial, scene, not options.no_proofs)
+                errors = mean_errors(course, trial, scene)
+                hidden.append((unseen(course, trial, scene), len(course.goals)))
                 if options.each:
-                    said = [f"{c} {r} {v[0]}/{v[1]} {v[2]:.2f}" for (c, r), v in one.items() if v[0]]
-                    view = " ".join(f"{k} {v[0]:.3f} {v[1]:.2f} {v[2]:.3f} |" for k, v in errors.items() if k != "seen")
-                    print(info.id, view, "unseen", errors["seen"][:2], "; ".join(said), flush=True)
+                    said = [f"{rule}{twin} {v[0]}/{v[1]} {v[2]:.2f}" for (twin, rule), v in one.items() if v[0]]
+                    view = " ".join(f"{k} {v[0]:.3f} {v[1]:.2f} {v[2]:.3f} |" for k, v in errors.items())
+                    print(info.id, view, "unseen", hidden[-1][0], "; ".join(said), flush=True)
                 for key, values in one.items():
                     old = rules.setdefault(key, [0, 0, -np.inf, 0, 0])
                     rules[key] = [
@@ -149,20 +114,20 @@ def main() -> None:
             print(f"\n`{name}` on {path.name}\n")
             print("| poses | rule | samples | events | deepest | unavoidable in a lag | in 0.5 s |")
             print("|---|---|---:|---:|---:|---:|---:|")
-            for (case, rule), (samples, rows, deepest, lag, long) in rules.items():
-                unit = "mm" if rule in PLACE_RULES else "(sine)"
-                proven = ("–", "–") if case == "true" or rule not in PLACE_RULES else (lag, long)
-                print(f"| {case} | {rule} | {samples} | {rows} | {deepest:.2f} {unit} | {proven[0]} | {proven[1]} |")
+            for (twin, rule), (samples, rows, deepest, lag, long) in rules.items():
+                proven = (lag, long) if rule in PLACE_RULES and not twin else ("–", "–")
+                poses, depth = "true" if twin else "reported", f"{deepest:.2f} {RULE_UNITS[rule]}"
+                print(f"| {poses} | {rule} | {samples} | {rows} | {depth} | {proven[0]} | {proven[1]} |")
             print("\n| samples | VVA (°) | FD (mm) | PF (°) | AN (°) | PN, whole way (mm) | true VVA (°) |")
             print("|---|---:|---:|---:|---:|---:|---:|")
             for subset in ("all", "unconstrained", "constrained"):
                 means = np.nanmean(found[subset], axis=0)
                 print(f"| {subset} | " + " | ".join(f"{value:.3f}" for value in means) + " |")
-            ring, tag, count = np.sum(found["seen"], axis=0)
+            ring, count = np.sum(hidden, axis=0)
             spent = np.concatenate(latency)
             spent = spent[~np.isnan(spent)]
             print(
-                f"\nRing hidden or outside: {100 * ring / count:.3f} %, no tag: {100 * tag / count:.3f} % of {count}; "
+                f"\nRing covered or outside in both pictures: {100 * ring / count:.3f} % of {count}; "
                 f"latency {spent.mean():.4f} ms, 99.9 %: {np.percentile(spent, 99.9):.3f} ms",
                 flush=True,
             )
