@@ -6,7 +6,7 @@ import numpy as np
 
 from surgbench.geometry import FloatArray, rigid_transform, rotation_from_vector
 from surgbench.tasks.viewpoint.conformance.worlds import DT_S, REMOTE_CENTRE_M, ZONE_M, feature_poses, make_trial
-from surgbench.viewpoint.avoidable import PLACE_RULES, TOLERANCE_M, broken_m, unavoidable
+from surgbench.viewpoint.avoidable import PLACE_RULES, TOLERANCE_M, broken_m
 from surgbench.viewpoint.camera_arm import CameraArm
 from surgbench.viewpoint.contract import ViewpointScene
 from surgbench.viewpoint.setting_up import rest
@@ -46,7 +46,7 @@ def lawful_trial(rng: np.random.Generator, steps: int) -> Trial | None:
 
 
 def broken_rules(course: Course, trial: Trial, scene: ViewpointScene) -> list[str]:
-    """Every rule that a course breaks, but for what is proven to have been unavoidable from one lag earlier."""
+    """Every rule that a course breaks; nothing is excused as unavoidable."""
     count = len(course.goals)
     feature = trial.T_world_feature[:count, :3, 3]
     found = []
@@ -54,8 +54,6 @@ def broken_rules(course: Course, trial: Trial, scene: ViewpointScene) -> list[st
         pose = scene.T_world_base @ scene.arm.forward(joints)
         for rule, depth in broken_m(pose[:count, :3, 3], feature, scene).items():
             broken = np.nan_to_num(depth, nan=-1.0) > TOLERANCE_M
-            if broken.any():
-                broken &= ~unavoidable(course, trial, scene, rule, of=of)  # type: ignore[arg-type]
             found += [f"{rule} of {of} at {k}: {1e3 * depth[k]:.2f} mm" for k in np.flatnonzero(broken)]
         sine = pose[:, :3, 1] @ np.array(scene.workspace.preferred_side)
         found += [f"orientation of {of} at {k}: {sine[k]:.4f}" for k in np.flatnonzero(sine > 0.0)]

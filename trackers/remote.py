@@ -100,7 +100,7 @@ class Remote(ViewpointTracker):
             raise BridgeError("invalid", f"the client answered with another message than '{kind.__name__.lower()}'")
 
     def _give_up(self, error: BridgeError, when: str) -> None:
-        line = f"{when}: {error}; the arm came to rest and stayed"
+        line = f"{when}: {str(error)[:1000]}; the arm came to rest and stayed"
         self.held = error.status, line
         if not error.over:
             with contextlib.suppress(BridgeError):

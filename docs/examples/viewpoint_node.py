@@ -24,6 +24,8 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
 JOINTS = 6
+# What a PSM's joints brake with, rad/s^2 and m/s^2: dVRK's limits for `move_jp`.
+BRAKES = (1.571, 1.571, 0.2, 12.57, 12.57, 12.57)
 
 
 class Server:
@@ -83,6 +85,11 @@ def read_joints(message):
     position, velocity = list(message.position), list(message.velocity)
     good = len(position) == len(velocity) == JOINTS and all(map(math.isfinite, position + velocity))
     return (position, velocity) if good else None
+
+
+def where_they_rest(position, velocity):
+    """Where joints come to rest that brake as hard as they can; limits are for `move_jp` to keep."""
+    return [q + v * abs(v) / (2 * a) for q, v, a in zip(position, velocity, BRAKES, strict=True)]
 
 
 def read_ring(message, ring_m):
@@ -151,10 +158,10 @@ class ViewpointNode(Node):
             self._publish(command["mode"], command["joints"], command["velocity"] or [])
 
     def _hold(self, why, rest=None):
-        """Let the arm come to rest, once: at `rest`, or at what it was last told."""
+        """Let the arm come to rest, once: at `rest`, or where the joints brake to from what they were last told."""
         if not self._holds and (rest is not None or self._setpoint.value is not None):
             self.get_logger().warning(f"holding: {why}")
-            self._publish("move", rest or self._setpoint.value[0], [])
+            self._publish("move", rest or where_they_rest(*self._setpoint.value), [])
             self._holds = True
 
     def _publish(self, mode, position, velocity):

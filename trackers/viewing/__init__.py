@@ -1,1 +1,1 @@
-"""Parts of the controller `gaze`: the whole-pose fit, the joints' chase of it, and the prediction of the feature."""
+"""Parts of the controller `gaze`: goals, the way to them, what a step may do, and how the feature goes on."""

@@ -113,5 +113,8 @@ def _check_hand(row: ViewpointRow, disturbance: Disturbance, dataset: ViewpointD
         raise ConfigError(
             f"--hand: trial '{without[0]}' of '{dataset.name}' has no truth, so no wire to lead a ring on"
         )
-    if getattr(find("tracker", row.tracker).cls, "foresees", False):
+    controller = find("tracker", row.tracker).cls
+    if getattr(controller, "elsewhere", False):
+        raise ConfigError(f"--hand: '{row.tracker}' is in another process; the bridge plays trials' own motion only")
+    if getattr(controller, "foresees", False):
         raise ConfigError(f"--hand: '{row.tracker}' must know the ring's way beforehand, which a hand only makes")

@@ -153,7 +153,7 @@ def _rules(panel: Axes, flags: Sequence[RuleFlags], names: Sequence[str], dt_s: 
         panel.text(*place, RULE_NAMES[name], transform=panel.transAxes, color=RULE_COLOURS[lane], fontsize=7, va="top")
     panel.set_title(
         "rules active for the controller (*: it does not say; those against the naive pose); dark red: broken by more "
-        "than 1 mm",
+        "than 0.5 mm or 0.5 deg",
         fontsize=8,
         loc="left",
     )

@@ -62,6 +62,7 @@ class Service:
         self._scene = None
         try:
             scene, joints = understand_scene(message)
+            self._warm_up(scene, joints)
             self._controller, self._receive = self._make(), Receiver(scene)
             self._controller.reset(scene, joints, generator(seed=message.seed))
         except MessageError as error:
@@ -70,6 +71,21 @@ class Service:
             return ErrorMessage(id=message.id, error=_line(error))
         self._scene = scene
         return Ready(id=message.id)
+
+    def _warm_up(self, scene: ViewpointScene, joints: FloatArray) -> None:
+        """Have compiled what another controller of the kind compiles in its first steps: no answer may wait for it."""
+        camera = scene.T_world_base @ scene.arm.forward(joints)
+        receive = Receiver(scene)
+        with contextlib.suppress(Exception):  # what a plug-in raises is told when it is asked in earnest
+            controller = self._make()
+            controller.reset(scene, joints.copy(), generator(seed=0))
+            for index, sign in enumerate((1.0, -1.0)):  # seen from ahead, and from behind
+                axes = np.column_stack([camera[:3, 0], -sign * camera[:3, 2], sign * camera[:3, 1]])
+                feature = rigid_transform(axes, camera[:3, 3] + scene.distance_m * camera[:3, 2])
+                still = ViewpointObservation(
+                    index, index * scene.dt_s, feature, joints.copy(), joints.copy(), np.zeros(len(joints))
+                )
+                receive(controller.step(still), still.joints)
 
     def _step(self, message: ObservationMessage) -> Message:
         if self._scene is None:

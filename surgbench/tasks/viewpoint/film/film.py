@@ -180,8 +180,8 @@ def _write_rules(picture: Picture, shot: Shot, step: int, ended: bool) -> None:
 
 
 def _labelled(picture: Picture, label: str, seen: bool) -> Picture:
-    """With what it is in its lower left corner, and whether the ring is in it."""
-    note, said = f"{label}: ", "ring in the picture" if seen else "ring not in the picture"
+    """With what it is in its lower left corner, and whether the ring is seen in it."""
+    note, said = f"{label}: ", "ring seen" if seen else "ring not seen"
     ground = strip(text_size(note + said, SMALL_PX)[0] + 14, 2 * SMALL_PX, INK)
     ground = ground[:, : picture.shape[1]]
     write_text(ground, note, 6, round(1.5 * SMALL_PX), SMALL_PX, PAPER)

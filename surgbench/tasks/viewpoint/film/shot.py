@@ -12,6 +12,7 @@ from surgbench.report.drawing import Colour
 from surgbench.tasks.viewpoint.records import ViewpointRecord
 from surgbench.tasks.viewpoint.rule_flags import RuleFlags, rule_flags
 from surgbench.viewpoint.contract import ViewpointScene
+from surgbench.viewpoint.optics.visibility import SEEN_SHARE
 from surgbench.viewpoint.trial import Trial
 
 # What is shown over time, and how.
@@ -33,7 +34,7 @@ class Shot:
         errors: Name to ``(T,)``, NaN where there is none.
         rules: Active, broken, and against the naive pose.
         contact: ``(T,)`` whether ring and wire touch, as far as is known.
-        seen: ``(T, 2)`` whether the left and the right picture have the ring in them.
+        seen: ``(T, 2)`` whether the left and the right picture show half of the ring or more, covered by nothing.
     """
 
     title: str
@@ -69,9 +70,8 @@ class Shot:
             contact = np.array(frames.contact, dtype=bool)
         base = scene.T_world_base if trial.truth is None else trial.truth.T_world_base
         seen: NDArray[np.bool_] = np.zeros((count, 2), dtype=bool)
-        if frames.projected_px:
-            pixels = np.array(frames.projected_px, dtype=np.float64).reshape(count, 2, 2)
-            seen = np.asarray(np.isfinite(pixels).all(axis=2))
+        if frames.ring_seen:
+            seen = np.array(frames.ring_seen, dtype=np.float64).reshape(count, 2) >= SEEN_SHARE
         return cls(
             title,
             colour,

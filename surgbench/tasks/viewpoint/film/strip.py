@@ -156,7 +156,7 @@ def _rows(shots: Sequence[Shot]) -> list[Row]:
         rows.append(("touches wire", INK, [(shots[0].contact, (90, 90, 90))]))
     unseen = np.asarray(~shots[0].seen.any(axis=1))
     if len(shots) == 1 and unseen.any():
-        rows.append(("in no picture", INK, [(unseen, INK)]))
+        rows.append(("ring unseen", INK, [(unseen, INK)]))
     return rows
 
 
