@@ -56,12 +56,12 @@ STEP = 1 / np.array([2e-4, 5e-4, 1e-3, np.inf, 1.0, np.inf, np.inf])
 class Gaze(ViewpointTracker):
     """Where the camera should be, a way there that keeps the rules, and no step that the arm could not brake after.
 
-    The goal is the naive pose in closed form where nothing speaks against it, else the joints within their limits that
-    come nearest to it within the rules and see the feature, by bounded least squares from several starts. The camera goes
-    there round the feature, by a detour where that is blocked, as fast as the joints' accelerations allow; roll and wrist
-    look at the feature from wherever it is on the way. The feature's motion is predicted over the period and the joints'
-    lag. Every step is brought within barriers that respect the braking distance, and taken only if the arm could come to
-    rest after it out of the zone and above the floor.
+    The goal is the naive pose in closed form where nothing speaks against it, else the joints within their limits
+    that come nearest to it within the rules and see the feature, by bounded least squares from several starts. The
+    camera goes there round the feature, by a detour where that is blocked, as fast as the joints' accelerations
+    allow; roll and wrist look at the feature from wherever it is on the way. The feature's motion is predicted over
+    the period and the joints' lag. Every step is brought within barriers that respect the braking distance, and
+    taken only if the arm could come to rest after it out of the zone and above the floor.
     """
 
     name: ClassVar[str] = "gaze"
