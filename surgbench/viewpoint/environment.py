@@ -12,7 +12,6 @@ controller is told them. The camera's course is that of ``surgbench run`` for th
 from __future__ import annotations
 
 from collections.abc import Sequence
-from numbers import Integral
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -239,7 +238,9 @@ class ViewpointVectorEnv(VectorEnv):
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
         """Begin a trial in every world, or in those of ``options["reset_mask"]``."""
         told = options or {}
-        seeds = [seed + n for n in range(self.num_envs)] if isinstance(seed, Integral) else list(seed or [])
+        if isinstance(seed, (int, np.integer)):
+            seed = [int(seed) + n for n in range(self.num_envs)]
+        seeds = list(seed or [])
         for n, one in enumerate(seeds):
             if one is not None:
                 self._generators[n] = seeding.np_random(one)[0]
