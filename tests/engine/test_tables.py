@@ -28,14 +28,11 @@ RESULTS = Path(__file__).parents[2] / "results"
 # Tables that were made again have records.json beside them; the others were only reported.
 REPRODUCED = sorted(path.parent.name for path in RESULTS.glob(f"*/{RECORDS_JSON}"))
 REPORTED = sorted({path.parent.name for path in RESULTS.glob(f"*/{LEADERBOARD_CSV}")} - set(REPRODUCED))
-# Measured by an older version, whose columns are not those of today: to be made anew.
-OLD = pytest.mark.xfail(strict=True, reason="results/autocam is of the version before rules were events")
-CURRENT = [pytest.param(name, marks=OLD) if name == "autocam" else name for name in REPRODUCED]
 ALL_TYPES = (*text("row_id"), *count("frames"), *number("error_m"), *flag("floor"))
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", CURRENT)
+@pytest.mark.parametrize("name", REPRODUCED)
 def test_a_committed_table_is_written_as_it_was_read(name: str) -> None:
     folder = RESULTS / name
     results, sheet = read_results(folder), find_task(load_table(name).table.task).sheet
@@ -58,7 +55,7 @@ def test_the_committed_accuracy_of_keypoint_sources_is_written_as_it_was_read() 
     assert csv_text(read_csv(content, ACCURACY)) == content
 
 
-@pytest.mark.parametrize("name", CURRENT)
+@pytest.mark.parametrize("name", REPRODUCED)
 def test_a_committed_page_is_what_its_files_give(name: str) -> None:
     definition, folder = load_table(name), RESULTS / name
     page = find_task(definition.table.task).sheet.page(definition, read_results(folder))
