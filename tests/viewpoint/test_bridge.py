@@ -239,6 +239,12 @@ def test_a_client_that_is_never_ready_is_held_from_the_first_step() -> None:
     np.testing.assert_array_equal(course.setpoints, course.setpoints[[0]].repeat(STEPS + 1, axis=0))
 
 
+def test_a_client_with_much_to_complain_of_is_held_like_any_other() -> None:
+    course, tracker, _ = remotely(lambda wire, message: wire.say({"type": "error", "error": "x" * 2000}), AMPLE_S)
+    assert tracker.held[0] == "failed"
+    assert len(course.goals) == STEPS
+
+
 def test_a_client_that_has_left_may_come_back_for_the_next_trial_and_is_waited_for_no_longer_than_told() -> None:
     trial, gone = circling(STEPS), []
     with listen("127.0.0.1", 0, None) as listener:

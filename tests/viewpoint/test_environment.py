@@ -254,6 +254,7 @@ def test_many_worlds_are_as_many_single_ones(gym: Any) -> None:
     many = gym.make_vec("surgbench/Viewpoint-v0", num_envs=count, trials=TRIALS)
     singles = [gym.make("surgbench/Viewpoint-v0", trials=TRIALS).unwrapped for _ in range(count)]
     observations, _ = many.reset(seed=7)
+    np.testing.assert_array_equal(many.reset(seed=np.int64(7))[0], observations)
     begun = [env.reset(seed=7 + n) for n, env in enumerate(singles)]
     np.testing.assert_array_equal(observations, [observation for observation, _ in begun])
     assert len({env.episodes.worlds.trial[0] for env in singles}) == 2

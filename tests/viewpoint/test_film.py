@@ -239,6 +239,7 @@ def test_a_hand_leaves_a_record_of_its_own_way(hands: Path, tmp_path: Path) -> N
     ("arguments", "message"),
     [
         (["--steady"], "--steady: is for a simulated hand; give --hand endoscope or --hand auxiliary"),
+        (["--tracker", "remote", "--hand", "endoscope"], "--hand: 'remote' is in another process"),
         (["--hand", "endo"], "'endo' is not one of 'endoscope', 'auxiliary'"),
     ],
 )
