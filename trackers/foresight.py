@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, ClassVar
+from collections.abc import Callable
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
@@ -13,6 +14,7 @@ from surgbench.extras import missing
 from surgbench.geometry import FloatArray, inverse_transform
 from surgbench.trackers.foreseeing.course import CourseProgram, Problem
 from surgbench.trackers.gaze import Gaze, GazeConfig
+from surgbench.trackers.horizon import Horizon
 from surgbench.viewpoint.contract import ViewCommand, ViewpointObservation, ViewpointScene, ViewpointTracker
 from surgbench.viewpoint.placement import UP, naive_pose
 from surgbench.viewpoint.registration import Touches
@@ -20,22 +22,28 @@ from surgbench.viewpoint.scores import COST_TOLERANCES
 from surgbench.viewpoint.simulator import Simulation
 from surgbench.viewpoint.trial import Trial
 
+CONTROLLERS: dict[str, Callable[[], ViewpointTracker]] = {"gaze": lambda: Gaze(GazeConfig()), "horizon": Horizon}
+
 
 class ForesightConfig(Section):
     """Options."""
 
+    begins: Annotated[
+        tuple[Literal["gaze", "horizon"], ...],
+        Field(min_length=1, description="controllers whose courses are improved; the best of what comes out is taken"),
+    ] = ("gaze", "horizon")
     every: Annotated[int, Field(ge=1, description="steps from knot to knot of the course")] = 4
-    rounds: Annotated[int, Field(ge=0, description="quadratic programs, at most; 0: the course of `gaze`")] = 12
+    rounds: Annotated[int, Field(ge=0, description="quadratic programs, at most; 0: those courses as they are")] = 12
     margin_m: Annotated[NotNegative, Field(description="kept from floor, no-go zone and feature")] = 0.0005
 
 
 class Foresight(ViewpointTracker):
     """Minimises ``view_cost`` over a whole trial at once, within the arm's limits and the rules.
 
-    It begins with the course of `gaze` and improves it by quadratic programs over all knots
-    (:mod:`surgbench.trackers.foreseeing.course`). After a gap in the measurements, during which the arm is brought to
-    rest, what remains is planned anew. What it reaches is a local optimum; how near to the best it is, is measured by
-    ``benchmarks/viewpoint_optimum.py``.
+    It begins with the courses of `gaze` and of `horizon`, improves each by quadratic programs over all knots
+    (:mod:`surgbench.trackers.foreseeing.course`), and takes the better. After a gap in the measurements, during which
+    the arm is brought to rest, what remains is planned anew. What it reaches is a local optimum; how near to the best
+    it is, is measured by ``benchmarks/viewpoint_optimum.py``.
     """
 
     name: ClassVar[str] = "foresight"
@@ -49,7 +57,7 @@ class Foresight(ViewpointTracker):
     @classmethod
     def unavailable(cls) -> str | None:
         """What is not installed."""
-        return missing(("clarabel",))
+        return missing(("clarabel", "daqp"))
 
     def reset(self, scene: ViewpointScene, joints: FloatArray, rng: np.random.Generator) -> None:
         """Plan the course up to the first gap."""
@@ -89,15 +97,18 @@ class Foresight(ViewpointTracker):
         """``(T, 6)`` set points after each step."""
         scene = self._scene
         self.problem = self._problem(features, setpoint, velocity)
-        begin = _causal(scene, features, setpoint)
         program = CourseProgram(self.problem, self._config.every)
-        count = program.knots.count
-        at = np.minimum(np.arange(count) * self._config.every, len(begin) - 1)
-        velocities = np.gradient(begin, scene.dt_s, axis=0)[at] if len(begin) > 1 else np.zeros((count, 6))
-        velocities[0], velocities[-1] = velocity, 0.0
-        velocities, self.merits = program.improve(velocities, self._config.rounds)
-        places = program.knots.places(setpoint, velocities)
-        return np.asarray(program.knots.steps(places, velocities, program.knots.setpoint))
+        knots = program.knots
+        found = []
+        for name in self._config.begins:
+            begin = _causal(CONTROLLERS[name](), scene, features, setpoint)
+            at = np.minimum(np.arange(knots.count) * self._config.every, len(begin) - 1)
+            velocities = np.gradient(begin, scene.dt_s, axis=0)[at] if len(begin) > 1 else np.zeros((knots.count, 6))
+            velocities[0], velocities[-1] = velocity, 0.0
+            found.append(program.improve(velocities, self._config.rounds))
+        velocities, self.merits = min(found, key=lambda result: result[1][-1].total)
+        places = knots.places(setpoint, velocities)
+        return np.asarray(knots.steps(places, velocities, knots.setpoint))
 
     def _problem(self, features: FloatArray, setpoint: FloatArray, velocity: FloatArray) -> Problem:
         """Everything in the frame of the arm's base."""
@@ -133,12 +144,14 @@ class Foresight(ViewpointTracker):
         )  # fmt: skip
 
 
-def _causal(scene: ViewpointScene, features: FloatArray, setpoint: FloatArray) -> FloatArray:
-    """``(T + 1, 6)`` set points of `gaze` on the same features, from rest."""
+def _causal(
+    controller: ViewpointTracker, scene: ViewpointScene, features: FloatArray, setpoint: FloatArray
+) -> FloatArray:
+    """``(T + 1, 6)`` set points of a controller on the same features, from rest."""
     steps = scene.dt_s * np.arange(len(features), dtype=np.float64)
     empty = np.empty((0, 3))
     trial = Trial(
         "foreseen", scene.dt_s, steps, features, scene.T_world_base, Touches(empty, empty), scene.workspace.zone.points,
         setpoint,
     )  # fmt: skip
-    return Simulation(Gaze(GazeConfig()), trial, scene, np.random.default_rng(0)).run().setpoints
+    return Simulation(controller, trial, scene, np.random.default_rng(0)).run().setpoints

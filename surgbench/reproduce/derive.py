@@ -13,6 +13,7 @@ from surgbench.records.format import Record
 from surgbench.records.reader import read_record
 from surgbench.report.row import Row
 from surgbench.report.rows import derive_rows
+from surgbench.reproduce.datasets import Bar, Watcher
 from surgbench.reproduce.files import FORMAT
 from surgbench.reproduce.fingerprint import head, record_sha256
 from surgbench.reproduce.over_sequences import spread_over_sequences
@@ -23,7 +24,7 @@ from surgbench.suite.settings import Job
 from surgbench.task import find_task
 
 
-def derive(definition: Definition, blocks: Sequence[BlockWork], out: Path, quick: bool) -> Results:
+def derive(definition: Definition, blocks: Sequence[BlockWork], out: Path, quick: bool, watcher: Watcher) -> Results:
     """Results from the records of finished work.
 
     Args:
@@ -31,10 +32,17 @@ def derive(definition: Definition, blocks: Sequence[BlockWork], out: Path, quick
         blocks: From :func:`surgbench.reproduce.work.do_work`.
         out: The table's own folder.
         quick: Whether it was a quick run.
+        watcher: Is told how far it has come.
 
     Raises:
         DatasetError: A record is damaged or missing.
     """
+    jobs = sum(len(one.jobs) + len(one.timing) for work in blocks for one in work.rows)
+    with watcher.progress("Reading records", jobs) as bar:
+        return _derive(definition, blocks, out, quick, bar)
+
+
+def _derive(definition: Definition, blocks: Sequence[BlockWork], out: Path, quick: bool, bar: Bar) -> Results:
     frames = definition.table.check.frames
     sheet = find_task(definition.table.task).sheet
     rows: list[Row] = []
@@ -52,7 +60,7 @@ def derive(definition: Definition, blocks: Sequence[BlockWork], out: Path, quick
         }
         for one in work.rows:
             read = []
-            for record, content in _read(out / RECORDS, one.jobs):
+            for record, content in _read(out / RECORDS, one.jobs, bar):
                 read.append(record)
                 sequences.append(sheet.sequence_row(work.block.name, work.dataset, record))
                 key = f"{one.row.id}/{record.spec.unit}/r{record.spec.repeat}"
@@ -63,7 +71,7 @@ def derive(definition: Definition, blocks: Sequence[BlockWork], out: Path, quick
                     "head": head(content, frames, sheet),
                 }
                 _count(made_in, content)
-            timing = [record for record, content in _read(out / TIMING, one.timing) if _count(timed_in, content)]
+            timing = [record for record, content in _read(out / TIMING, one.timing, bar) if _count(timed_in, content)]
             timed = {_part(row): row for row in derive_rows(timing)} if timing else {}
             spread = spread_over_sequences(definition.table.over_sequences, read, timing or read)
             for row in derive_rows(read):
@@ -84,7 +92,7 @@ def derive(definition: Definition, blocks: Sequence[BlockWork], out: Path, quick
     return Results(with_differences(definition.table, rows, sequences, sheet), sequences, about)
 
 
-def _read(folder: Path, jobs: Iterable[Job]) -> Iterator[tuple[Record, dict[str, Any]]]:
+def _read(folder: Path, jobs: Iterable[Job], bar: Bar) -> Iterator[tuple[Record, dict[str, Any]]]:
     """One at a time: a whole table's records do not fit into memory comfortably."""
     for job in jobs:
         path = folder / job.path
@@ -92,6 +100,7 @@ def _read(folder: Path, jobs: Iterable[Job]) -> Iterator[tuple[Record, dict[str,
         if record is None:
             raise DatasetError(f"{path}: not a record; delete it and run again")
         yield record, json.loads(path.read_text(encoding="utf-8"))
+        bar(1)
 
 
 def _count(environments: dict[str, dict[str, Any]], record: dict[str, Any]) -> bool:

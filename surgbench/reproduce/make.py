@@ -72,7 +72,7 @@ def reproduce(
             with_pictures = False
     folder = table_folder(definition, out, quick)
     blocks, failures = do_work(definition, folder, data, jobs, quick, make, watcher)
-    results = derive(definition, blocks, folder, quick)
+    results = derive(definition, blocks, folder, quick, watcher)
     sheet = find_task(definition.table.task).sheet
     drawn = sheet.draw(definition, blocks, results, folder) if with_pictures else []
     results.about["figure"] = FIGURE_PNG in drawn
@@ -95,7 +95,7 @@ def _rerun(
     before = read_results(folder)  # first: what is not whole cannot be mended this way
     part = replace(definition, table=narrowed(definition.table, only))
     blocks, failures = do_work(part, folder, data, jobs, False, make, watcher)
-    results = merged(definition, before, derive(part, blocks, folder, quick=False))
+    results = merged(definition, before, derive(part, blocks, folder, False, watcher))
     if definition.table.has_pictures:
         watcher.say(f"{folder}: pictures stay as they are; only a run of the whole table draws them")
     _write_all(definition, results, folder)
