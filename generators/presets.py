@@ -11,7 +11,7 @@ from pydantic import Field, SerializerFunctionWrapHandler, field_validator, mode
 
 from surgbench.camera import Camera
 from surgbench.camera.plausible import implausible
-from surgbench.config import SUFFIXES, Finite, NotNegative, Positive, Section, locate, parse_model, read_yaml
+from surgbench.config import SUFFIXES, Finite, Name, NotNegative, Positive, Section, locate, parse_model, read_yaml
 from surgbench.errors import ConfigError, unknown_name
 from surgbench.generation import with_settings
 from surgbench.generators.looks.sections import Images
@@ -325,7 +325,7 @@ class Preset(Section):
         images: Images beside the masks; none unless told.
     """
 
-    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
+    name: Name
     seed: Annotated[int, Field(ge=0)] = 0
     pairs: Annotated[int, Field(ge=1, le=1000)]
     frames: Annotated[int, Field(ge=2, le=1_000_000)]

@@ -14,6 +14,8 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from surgbench.errors import ConfigError, NotFoundError, unknown_name
+from surgbench.files import MOST_YAML_BYTES, read_whole
+from surgbench.kinds import NAME_PATTERN
 from surgbench.syntax import parse_yaml
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -23,6 +25,9 @@ Finite = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Count = Annotated[int, Field(ge=1)]
+# Of datasets, sequences, views and arms: they become names of files.
+LONGEST_NAME = 100
+Name = Annotated[str, Field(pattern=f"^{NAME_PATTERN}$", max_length=LONGEST_NAME)]
 
 
 class Section(BaseModel):
@@ -93,7 +98,7 @@ def read_yaml(path: Path, what: str) -> dict[str, Any]:
         ConfigError: It is missing, not YAML, or not a mapping; one line.
     """
     try:
-        content = parse_value(path.read_text(encoding="utf-8"))
+        content = parse_value(read_whole(path, MOST_YAML_BYTES).decode())
     except OSError as error:
         raise ConfigError(f"{path}: {what} file cannot be read ({error.strerror})") from None
     except ValueError as error:

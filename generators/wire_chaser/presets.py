@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, SerializerFunctionWrapHandler, field_validator, model_serializer, model_validator
 
-from surgbench.config import Finite, NotNegative, Positive, Section
+from surgbench.config import Finite, Name, NotNegative, Positive, Section
 from surgbench.generators.sections import Fraction
 from surgbench.viewpoint.arm_files import CameraArmSpec, arm_of, load_camera_arm, unless_default
 from surgbench.viewpoint.camera_arm import CameraArm
@@ -266,7 +266,7 @@ class WireChaser(Section):
     """
 
     task: Literal["viewpoint"]
-    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
+    name: Name
     seed: Annotated[int, Field(ge=0)] = 0
     trials: Annotated[int, Field(ge=1, le=1000)]
     samples: Annotated[int, Field(ge=100, le=1_000_000)] | None = None

@@ -12,7 +12,7 @@ from pydantic import (
     field_validator,
 )
 
-from surgbench.config import Section
+from surgbench.config import LONGEST_NAME, Name, Section
 from surgbench.files import canonical_json
 
 FORMAT: Final = "surgbench-dataset-1"
@@ -31,6 +31,10 @@ VISIBILITY = {
     "tracker": ["dataset.json", "instruments/**", "sequences/**"],
     "truth": ["truth/**"],
 }
+
+
+# Frames of a sequence: more than four days of video.
+Frames = Annotated[int, Field(gt=0, le=10_000_000)]
 
 
 class FileEntry(Section):
@@ -59,7 +63,7 @@ class Manifest(Section):
 
     format: Literal["surgbench-dataset-1"] = FORMAT
     task: str
-    name: str
+    name: Name
     created_by: str
     origin: Literal["generated", "imported"]
     seed: int | None = None
@@ -94,7 +98,7 @@ class Manifest(Section):
 
 def dataset_name(text: str) -> str:
     """A name of a dataset, or of a part of one, from any text: what cannot stand in it is replaced."""
-    return re.sub(r"[^A-Za-z0-9_.-]", "-", text).lstrip("-_.") or "recording"
+    return re.sub(r"[^A-Za-z0-9_.-]", "-", text).lstrip("-_.")[:LONGEST_NAME] or "recording"
 
 
 def observations_path(sequence: str) -> str:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surgbench.errors import DatasetError
+from surgbench.files import read_whole
 from surgbench.pictures import as_rgb, decode_picture, is_jpeg
 
 Mask = NDArray[np.bool_]
@@ -50,7 +51,7 @@ def read_bytes(path: Path) -> bytes:
         DatasetError: It is missing or cannot be read; one line that names it.
     """
     try:
-        return path.read_bytes()
+        return read_whole(path)
     except (FileNotFoundError, NotADirectoryError):
         raise DatasetError(f"{path}: missing") from None
     except OSError as error:

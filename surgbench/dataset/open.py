@@ -11,6 +11,7 @@ from pydantic import ValidationError
 from surgbench.dataset.base import Dataset
 from surgbench.dataset.manifest import FORMAT, MANIFEST_NAME, MARKER_NAME, Manifest
 from surgbench.errors import DatasetError, unknown_name
+from surgbench.files import MOST_JSON_BYTES, read_whole
 from surgbench.syntax import parse_json
 from surgbench.task import default_task, find_task, task_names
 
@@ -48,7 +49,7 @@ def read_manifest(folder: Path) -> tuple[Manifest, bytes]:
     """
     path = folder / MANIFEST_NAME
     try:
-        data = path.read_bytes()
+        data = read_whole(path, MOST_JSON_BYTES)
     except (FileNotFoundError, NotADirectoryError):
         if (folder / MARKER_NAME).exists():
             raise DatasetError(

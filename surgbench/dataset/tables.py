@@ -51,15 +51,19 @@ def decode_table(data: bytes, name: str, rows: int, columns: Sequence[str]) -> d
     from pyarrow import parquet
 
     try:
-        # pyarrow's reader threads, read-ahead ones included, may outlive the call and abort the process at exit.
-        table = parquet.read_table(io.BytesIO(data), use_threads=False, pre_buffer=False)
+        # Not `read_table`: even without threads its scanner starts some, which may outlive the call and abort the
+        # process at its end (https://github.com/apache/arrow/issues/34314).
+        file = parquet.ParquetFile(pa.BufferReader(data), pre_buffer=False)
+        for column in (FRAME, *columns):
+            if column not in file.schema_arrow.names:
+                raise DatasetError(f"{name}: lacks the column '{column}'")
+        if file.metadata.num_rows != rows:  # before anything takes memory
+            raise DatasetError(f"{name}: has {file.metadata.num_rows} rows; expected one per frame, {rows}")
+        table = file.read([FRAME, *columns], use_threads=False)
     except (pa.ArrowException, OSError, ValueError):
         raise DatasetError(f"{name}: truncated or damaged Parquet file") from None
-    for column in (FRAME, *columns):
-        if column not in table.column_names:
-            raise DatasetError(f"{name}: lacks the column '{column}'")
     if table.num_rows != rows:
-        raise DatasetError(f"{name}: has {table.num_rows} rows; expected one per frame, {rows}")
+        raise DatasetError(f"{name}: truncated or damaged Parquet file")
     values: dict[str, FloatArray] = {}
     for column in (FRAME, *columns):
         chunked = table.column(column)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
-from pydantic import BaseModel, ConfigDict, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from surgbench.geometry import FloatArray
 
@@ -16,6 +16,8 @@ FORMAT_STEM = "surgbench-record-"
 SKIPPED = "skipped"  # the status of a run that the machine lacks something for
 
 Number = float | None
+# Files that are made of a record are called by these: no place elsewhere, nothing that a terminal takes for an order.
+FileName = Annotated[str, Field(pattern=r"^[^./\\\x00-\x1f][^/\\\x00-\x1f]*$")]
 
 
 class Part(BaseModel):
@@ -28,7 +30,7 @@ class Part(BaseModel):
 class DatasetRef(Part):
     """Which dataset a run was made on."""
 
-    name: str
+    name: FileName
     sha256: str
 
 
@@ -50,9 +52,9 @@ class RecordSpec(Part):
     task: str
     engine: str = ""
     dataset: DatasetRef
-    unit: str
-    sequence: str
-    row_id: str
+    unit: FileName
+    sequence: FileName
+    row_id: FileName
     tracker: Plug
     repeat: int
     level: str | float | None = None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, TypeVar
@@ -10,6 +11,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from surgbench.errors import DatasetError, NotFoundError, SurgbenchError
+from surgbench.files import MOST_JSON_BYTES, read_whole
 from surgbench.geometry import FloatArray
 from surgbench.leftovers import without_leftovers
 from surgbench.records.format import FORMAT_STEM, FORMATS, RECORD_FORMAT, SKIPPED, Record
@@ -18,6 +20,9 @@ from surgbench.syntax import parse_json
 from surgbench.task import Task, find_task
 
 R = TypeVar("R", bound=Record)
+
+# As a run calls them: what else is broken beside them is somebody else's.
+_RECORD_NAME = re.compile(r"-r\d+\.json$")
 
 
 def read_record(path: Path) -> Record | None:
@@ -34,9 +39,10 @@ def read_record(path: Path) -> Record | None:
             or of a task that is not known here.
     """
     try:
-        content = parse_json(path.read_text(encoding="utf-8"))
+        content = parse_json(read_whole(path, MOST_JSON_BYTES))
     except ValueError as error:
-        raise DatasetError(f"{path}: truncated or not JSON ({error}); delete it and run again") from None
+        advice = "; delete it and run again" if _RECORD_NAME.search(path.name) else ""
+        raise DatasetError(f"{path}: truncated or not JSON ({error}){advice}") from None
     except OSError as error:
         raise DatasetError(f"{path}: cannot be read ({error.strerror})") from None
     found = content.get("format") if isinstance(content, dict) else None

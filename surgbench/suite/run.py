@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 from surgbench.dataset.base import Dataset
 from surgbench.errors import DatasetError, SurgbenchError
-from surgbench.files import PARTIAL_SUFFIX, canonical_json, write_atomic
+from surgbench.files import MOST_JSON_BYTES, PARTIAL_SUFFIX, canonical_json, read_whole, write_atomic
 from surgbench.leftovers import without_leftovers
 from surgbench.locks import LOCK_SUFFIX
 from surgbench.records.format import FORMATS, SKIPPED
@@ -150,7 +150,7 @@ def _stamp(path: Path) -> Stamp | None:
 def _recorded(path: Path, job: Job) -> dict[str, Any] | None:
     """A job's record; ``None`` where there is none."""
     try:
-        record: dict[str, Any] = parse_json(path.read_text(encoding="utf-8"))
+        record: dict[str, Any] = parse_json(read_whole(path, MOST_JSON_BYTES))
         if record["format"] in FORMATS:
             check_seal(record, path)
             if record["spec_hash"] == job.hash and record["status"]:

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
-from pydantic import Field, model_validator
+from pydantic import model_validator
 
-from surgbench.config import Finite, NotNegative, Positive, Section, locate, parse_model, read_yaml
+from surgbench.config import Finite, Name, NotNegative, Positive, Section, locate, parse_model, read_yaml
 from surgbench.instrument.arm import Manipulator
 from surgbench.viewpoint.camera_arm import PSM_CLASSIC, CameraArm
 
@@ -91,7 +91,7 @@ class CameraArmSpec(Section):
     """
 
     format: Literal["surgbench-camera-arm-1"]
-    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
+    name: Name
     title: str = ""
     sources: tuple[str, ...] = ()
     insertion_offset_m: Finite

@@ -8,8 +8,8 @@ import numpy as np
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from surgbench.camera import Camera
-from surgbench.config import Finite, Positive, Section
-from surgbench.dataset.manifest import Manifest, observations_path
+from surgbench.config import Finite, Name, Positive, Section
+from surgbench.dataset.manifest import Frames, Manifest, observations_path
 from surgbench.geometry import is_rigid
 
 Arm = Literal["left", "right"]
@@ -141,8 +141,8 @@ class SequenceEntry(Section):
         auxiliary: Name to what is known of a further view. Left out of the file where there is none.
     """
 
-    id: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
-    frames: Annotated[int, Field(gt=0)]
+    id: Name
+    frames: Frames
     dt_s: Positive
     speed: Literal["nominal", "fast"] = "nominal"
     camera: str
@@ -161,7 +161,7 @@ class SequenceEntry(Section):
     links: bool = False
     T_cam_base: dict[Arm, Annotated[tuple[Finite, ...], Field(min_length=16, max_length=16)]] = {}
     source_frames: tuple[str, ...] = ()
-    auxiliary: dict[Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")], AuxiliaryEntry] = {}
+    auxiliary: dict[Name, AuxiliaryEntry] = {}
 
     @model_serializer(mode="wrap")
     def _without_what_is_not_there(self, serialise: SerializerFunctionWrapHandler) -> dict[str, Any]:
@@ -231,6 +231,9 @@ class InstrumentManifest(Manifest):
             for instrument in sequence.instruments.values():
                 if instrument not in self.instruments:
                     raise ValueError(f"sequence '{sequence.id}' names the unknown instrument '{instrument}'")
+        pictured = sum(entry.frames for entry in self.sequences if entry.kinds or entry.images)
+        if pictured > len(self.files):  # before somebody counts to ten million
+            raise ValueError(f"sequences of {pictured} frames, each with a picture, but only {len(self.files)} files")
         for name, path in self.instruments.items():
             if path not in self.files:
                 raise ValueError(f"instrument '{name}': '{path}' is not among the files")

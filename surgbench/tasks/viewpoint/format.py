@@ -7,8 +7,8 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
-from surgbench.config import Finite, NotNegative, Positive, Section
-from surgbench.dataset.manifest import Manifest
+from surgbench.config import Finite, Name, NotNegative, Positive, Section
+from surgbench.dataset.manifest import Frames, Manifest
 from surgbench.geometry import is_rigid
 from surgbench.viewpoint.arm_files import CameraArmSpec
 from surgbench.viewpoint.placement import DISTANCE_M
@@ -86,8 +86,8 @@ class TrialEntry(Section):
         preferred_side: Unit vector: the camera's y axis must not point along it.
     """
 
-    id: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
-    samples: Annotated[int, Field(gt=0)]
+    id: Name
+    samples: Frames
     dt_s: Positive
     level: Level = "custom"
     truth: bool = False

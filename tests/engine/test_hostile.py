@@ -1,0 +1,240 @@
+"""Folders and files of strangers, made to do harm: one line for each, nothing written outside, nothing waited for."""
+
+from __future__ import annotations
+
+import functools
+import io
+import json
+import os
+import shutil
+import struct
+import zlib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import fabricate
+import numpy as np
+import pyarrow as pa
+import pytest
+from commandline import RUN, surgbench
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from pyarrow import parquet
+from small_dataset import CAMERA, make_pair
+
+from surgbench.camera.formats import read_stated
+from surgbench.config import locate, read_yaml
+from surgbench.dataset.masks import decode_image, decode_mask, encode_mask
+from surgbench.dataset.open import open_dataset
+from surgbench.dataset.storage import file_entry
+from surgbench.dataset.tables import decode_table, encode_table
+from surgbench.dataset.validate import validate
+from surgbench.errors import SurgbenchError
+from surgbench.files import read_whole
+from surgbench.recordings.frame_table import read_frame_table
+from surgbench.recordings.pose_table import read_pose_table
+from surgbench.records.reader import read_record, read_records
+from surgbench.viewpoint.arm_files import load_camera_arm
+
+MASK = "sequences/000/observed/left/000001.png"
+TABLE = "sequences/000/observations.parquet"
+FRAMES = 4
+
+
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("strangers") / "set"
+    make_pair(root, sequences=1, frames=FRAMES)
+    return root
+
+
+@pytest.fixture
+def root(sound: Path, tmp_path: Path) -> Path:
+    """A copy to be altered."""
+    return shutil.copytree(sound, tmp_path / "set")
+
+
+def alter(root: Path, change: Callable[[dict[str, Any]], Any]) -> None:
+    """Change a dataset's manifest."""
+    manifest = json.loads((root / "dataset.json").read_text())
+    change(manifest)
+    (root / "dataset.json").write_text(json.dumps(manifest))
+
+
+def replace(root: Path, file: str, data: bytes) -> None:
+    """Write another file in one's place, and have the manifest agree with it."""
+    (root / file).write_bytes(data)
+    alter(root, lambda manifest: manifest["files"].update({file: file_entry(data).model_dump()}))
+
+
+def flat_png(side: int) -> bytes:
+    """A small file of a large black picture."""
+
+    def chunk(kind: bytes, data: bytes) -> bytes:
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+    packer = zlib.compressobj(9)
+    rows = b"".join(packer.compress(bytes(1 + side // 8)) for _ in range(side)) + packer.flush()
+    head = struct.pack(">IIBBBBB", side, side, 1, 0, 0, 0, 0)
+    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", rows) + chunk(b"IEND", b"")
+
+
+# Datasets
+
+NAMES = ["../../evil", "/tmp/evil", "", "..", "a/b", "a\\b", "a\0b", "a\nb", "\x1b[31m", "</script>", "x" * 5000]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_dataset_cannot_choose_where_its_records_go(
+    name: str, root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    alter(root, lambda manifest: manifest.update(name=name))
+    there = set(tmp_path.rglob("*"))
+    surgbench(*RUN, "--dataset", root, "--tracker", "cmaes", "--out", tmp_path / "a/b/out", expect=2)
+    assert set(tmp_path.rglob("*")) == there
+    assert capsys.readouterr().err.startswith(f"surgbench: {root}/dataset.json: 'name': ")
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_no_folder_or_record_has_a_name_that_leads_elsewhere(name: str, root: Path, tmp_path: Path) -> None:
+    alter(root, lambda manifest: manifest["sequences"][0].update(id=name))
+    with pytest.raises(SurgbenchError, match=r"'sequences\.0\.id': "):
+        open_dataset(root)
+    for key in ("unit", "sequence", "row_id", "dataset"):
+        content = fabricate.record()
+        content["spec"][key] = {"name": name, "sha256": "ab" * 32} if key == "dataset" else name
+        path = tmp_path / "000-left-r0.json"
+        path.write_text(json.dumps(fabricate.as_written(content)))
+        if len(name) < 1000 or key == "dataset":
+            if len(name) > 1000:  # long, but harmless: nothing is written by it
+                continue
+            with pytest.raises(SurgbenchError, match=rf"'spec\.{key}"):
+                read_record(path)
+
+
+@pytest.mark.parametrize("frames", [10**6, 10**9, 10**30])
+def test_frames_that_are_not_there_are_not_counted(frames: int, root: Path) -> None:
+    alter(root, lambda manifest: manifest["sequences"][0].update(frames=frames))
+    (problem,) = validate(root)
+    assert "less than or equal to 10000000" in problem or f"{frames} frames, each with a picture" in problem
+
+
+def test_a_table_is_not_read_before_its_rows_are_counted() -> None:
+    rows = 10_000_000
+    buffer = io.BytesIO()
+    column = pa.DictionaryArray.from_arrays(np.zeros(rows, np.int8), [0.0])
+    parquet.write_table(pa.table({"frame": column, "a": column}), buffer)
+    assert len(buffer.getvalue()) < 100_000
+    with pytest.raises(SurgbenchError, match="has 10000000 rows; expected one per frame, 4"):
+        decode_table(buffer.getvalue(), "file", FRAMES, ["a"])
+
+
+@pytest.mark.parametrize("side", [16_000, 50_000])
+def test_a_picture_larger_than_its_camera_is_not_decoded(side: int, root: Path) -> None:
+    replace(root, MASK, flat_png(side))
+    (problem,) = validate(root)
+    assert problem == f"{root / MASK}: is {side}x{side} pixels; its camera has {CAMERA.width}x{CAMERA.height}"
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes with names here")
+@pytest.mark.parametrize("file", [MASK, TABLE, "dataset.json"])
+def test_nobody_waits_for_a_pipe(file: str, root: Path) -> None:
+    (root / file).unlink()
+    os.mkfifo(root / file)
+    assert validate(root)[0] == f"{root / file}: cannot be read (Not a regular file)"
+
+
+@pytest.mark.skipif(not Path("/dev/zero").exists(), reason="no such device here")
+def test_a_device_is_no_file(root: Path) -> None:
+    (root / MASK).unlink()
+    (root / MASK).symlink_to("/dev/zero")
+    assert validate(root) == [f"{root / MASK}: cannot be read (Not a regular file)"]
+
+
+def test_a_file_without_end_is_not_read(tmp_path: Path) -> None:
+    path = tmp_path / "dataset.json"
+    with path.open("wb") as file:
+        file.truncate(1 << 40)  # takes no room
+    with pytest.raises(SurgbenchError, match=r"cannot be read \(Larger than 256 MiB\)"):
+        open_dataset(tmp_path)
+    with pytest.raises(OSError, match="Larger than 1024 MiB"):
+        read_whole(path)
+
+
+def test_a_damaged_file_that_is_no_record_is_not_to_be_deleted(root: Path, tmp_path: Path) -> None:
+    (root / "dataset.json").write_text("{")
+    with pytest.raises(SurgbenchError, match=r"dataset\.json: truncated or not JSON \(.*\)$"):
+        read_records([tmp_path])
+    (root / "dataset.json").unlink()
+    (tmp_path / "000-left-r0.json").write_text("{")
+    with pytest.raises(SurgbenchError, match="delete it and run again"):
+        read_records([tmp_path])
+
+
+# Any bytes
+
+
+def mutations(data: bytes) -> st.SearchStrategy[bytes]:
+    """A file with some bytes replaced, cut out, doubled, or cut off, or something else altogether."""
+    place = st.integers(0, len(data))
+    odd = [b"\xff" * 8, b"\0" * 8, b"99999999999", b"-1e999", b"NaN", b"[" * 200, b"\n" * 3, b"&a [*a]", b"%YAML:1.0\n"]
+    junk = st.binary(max_size=24) | st.sampled_from(odd)
+    cut = st.tuples(place, place, junk).map(lambda t: data[: min(t[:2])] + t[2] + data[max(t[:2]) :])
+    over = st.tuples(place, junk).map(lambda t: data[: t[0]] + t[1] + data[t[0] + len(t[1]) :])
+    return cut | over | st.binary(max_size=200)
+
+
+@functools.cache
+def samples() -> dict[str, bytes]:
+    """What sound files of each kind look like."""
+    mask = np.zeros((CAMERA.height, CAMERA.width), bool)
+    mask[20:40, 30:] = True
+    return {
+        "dataset.json": b'{"format": "surgbench-dataset-1", "task": "instrument", "name": "a", "files": {}}',
+        "record.json": json.dumps(fabricate.as_written(fabricate.record(frames=2))).encode(),
+        "mask.png": encode_mask(mask),
+        "table.parquet": encode_table({"a": np.arange(FRAMES) / 3, "b": np.full(FRAMES, np.nan)}),
+        "camera.json": b'{"width": 88, "height": 62, "fx": 113.2, "fy": 113.1, "cx": 36.3, "cy": 29.4}',
+        "camera.yaml": b"image_width: 88\nimage_height: 62\ncamera_matrix: {data: [9, 0, 3, 0, 9, 2, 0, 0, 1]}\n",
+        "file.yaml": b"a: &x [1, 2.5, 2026-01-01]\nb: {c: *x, d: !!binary aGFsbG8=}\n",
+        "poses.csv": b"t,x,y,z,qx,qy,qz,qw\n0.0,1,2,3,0,0,0,1\n0.1,1,2,3.5,0,0,0,1\n",
+        "frames.csv": b"frame,u [px],v [px]\n0,12.5,30\n1,,\n",
+        "arm.yaml": locate("camera_arms", "camera arm", "psm_classic").read_bytes(),
+    }
+
+
+READERS: dict[str, Callable[[Path, bytes], Any]] = {
+    "dataset.json": lambda path, data: open_dataset(path.parent),
+    "record.json": lambda path, data: read_record(path),
+    "mask.png": lambda path, data: (decode_mask(data, "x", 88, 62), decode_image(data, "x", 88, 62)),
+    "table.parquet": lambda path, data: decode_table(data, "x", FRAMES, ["a", "b"]),
+    "camera.json": lambda path, data: read_stated(path),
+    "camera.yaml": lambda path, data: read_stated(path),
+    "file.yaml": lambda path, data: read_yaml(path, "any"),
+    "poses.csv": lambda path, data: read_pose_table(path),
+    "frames.csv": lambda path, data: read_frame_table(path, "0,1,2"),
+    "arm.yaml": lambda path, data: load_camera_arm(path),
+}
+
+
+@pytest.fixture(scope="module")
+def scratch(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    folder = tmp_path_factory.mktemp("fuzzed")
+    yield folder
+    assert {path.name for path in folder.iterdir()} <= set(READERS)
+
+
+@pytest.mark.parametrize("name", READERS)
+@settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_whatever_a_file_holds_its_reader_says_one_line(name: str, scratch: Path, data: st.DataObject) -> None:
+    content = data.draw(mutations(samples()[name]))
+    path = scratch / name
+    path.write_bytes(content)
+    said = ""
+    try:
+        READERS[name](path, content)
+    except SurgbenchError as error:
+        said = str(error)
+    assert "\n" not in said
