@@ -17,6 +17,7 @@ class TableFormat(str, Enum):
     csv = "csv"
     markdown = "markdown"
     json = "json"
+    latex = "latex"
 
 
 def report(
@@ -24,7 +25,7 @@ def report(
         list[Path], typer.Argument(metavar="DIR...", help="Folders of records; several become one leaderboard.")
     ],
     table_format: Annotated[
-        TableFormat, typer.Option("--format", help="csv and json hold every column and digit.")
+        TableFormat, typer.Option("--format", help="csv and json hold every column and digit; latex is for papers.")
     ] = TableFormat.table,
     out: Annotated[Path | None, typer.Option(metavar="FILE", help="Write here, not to standard output.")] = None,
     plots: Annotated[
@@ -45,6 +46,7 @@ def report(
     from surgbench.files import write_atomic
     from surgbench.locks import in_use, locked_beside
     from surgbench.report import render
+    from surgbench.report.latex import latex
     from surgbench.report.rows import read_rows
 
     if plots is not None:
@@ -57,7 +59,7 @@ def report(
 
         render.print_leaderboard(rows, Console())
         return
-    text: str = getattr(render, table_format.value)(rows)
+    text: str = latex(rows) if table_format is TableFormat.latex else getattr(render, table_format.value)(rows)
     if out is None:
         sys.stdout.write(text)
         return

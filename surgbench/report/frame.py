@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import json
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +17,8 @@ from surgbench.report.field import Field, FieldType, keys
 if TYPE_CHECKING:
     from pandas import DataFrame
 
+# How a formula begins, and a text with an apostrophe already (https://owasp.org/www-community/attacks/CSV_Injection).
+_FORMULA = re.compile(r"'*[=+\-@\t\r]")
 DTYPES: Mapping[FieldType, str] = {"text": "string", "count": "Int64", "number": "float64", "flag": "boolean"}
 
 
@@ -61,8 +64,23 @@ def to_rows(frame: DataFrame) -> list[dict[str, Any]]:
 
 
 def csv_text(frame: DataFrame) -> str:
-    """CSV with every digit; empty cells for missing values."""
-    return str(frame.to_csv(index=False, lineterminator="\n"))
+    """CSV with every digit; empty cells for missing values.
+
+    A text that a spreadsheet would take for a formula gets an apostrophe before it, which :func:`read_csv` takes off.
+    """
+    quoted = frame.copy()
+    for name, column in frame.items():
+        if column.dtype == "string":
+            quoted[name] = column.map(_quoted, na_action="ignore")
+    return str(quoted.to_csv(index=False, lineterminator="\n"))
+
+
+def _quoted(text: str) -> str:
+    return f"'{text}" if _FORMULA.match(text) else text
+
+
+def _unquoted(text: str) -> str:
+    return text[1:] if text.startswith("'") and _FORMULA.match(text) else text
 
 
 def json_text(frame: DataFrame) -> str:
@@ -109,7 +127,7 @@ def _value(cell: str, field: Field) -> Any:
 
 
 _PARSE: Mapping[FieldType, Callable[[str], Any]] = {
-    "text": str,
+    "text": _unquoted,
     "count": int,
     "number": float,
     "flag": {"True": True, "False": False}.__getitem__,

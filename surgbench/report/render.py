@@ -7,13 +7,14 @@ millimetres for lengths, the best value of a column in bold.
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from surgbench.records.format import SKIPPED
-from surgbench.report.column import ROW, STATUS, VARIANT, Column
+from surgbench.report.column import ROW, STATUS, VARIANT
 from surgbench.report.field import keys
 from surgbench.report.frame import csv_text, json_list, to_frame, to_rows
+from surgbench.report.leaderboard import Ranking, groups, reason, shown, unsound
 from surgbench.report.markdown import escape, markdown_table
 from surgbench.report.row import Row
 from surgbench.report.rows import columns as columns_of
@@ -46,22 +47,22 @@ def _own(rows: Sequence[Row]) -> list[Row]:
 def markdown(rows: Sequence[Row]) -> str:
     """One table per dataset and number of arms, and a line for every failure."""
     parts = []
-    for title, group in _groups([row for row in rows if find_task(row["task"]).on_page(row)]):
-        columns, best = _shown(group), _best(group)
-        unsound = _unsound(group)
-        if unsound:
+    for title, group in groups([row for row in rows if find_task(row["task"]).on_page(row)]):
+        columns, ranking = shown(group), Ranking(group)
+        failed = unsound(group)
+        if failed:
             columns.append(STATUS)
         lines = [[column.heading for column in columns]]
         for row in group:
             cells = [escape(column.text(row.get(column.key))) for column in columns]
             lines.append(
                 [
-                    f"**{cell}**" if _is_best(column, row, best) else cell
+                    f"**{cell}**" if ranking.place(column, row) == 1 else cell
                     for column, cell in zip(columns, cells, strict=True)
                 ]
             )
         body = markdown_table(lines, [column.decimals is None for column in columns])
-        failures = [f"- {escape(_reason(row))}" for row in unsound]
+        failures = [f"- {escape(reason(row))}" for row in failed]
         parts.append("\n".join([f"### {escape(title)}", "", body, *([""] if failures else []), *failures]) + "\n")
     return "\n".join(parts)
 
@@ -86,8 +87,8 @@ def print_leaderboard(rows: Sequence[Row], console: Console) -> None:
     from rich.table import Table
     from rich.text import Text
 
-    for title, group in _groups([row for row in rows if find_task(row["task"]).is_whole(row)]):
-        columns, best = _shown(group, console.width), _best(group)
+    for title, group in groups([row for row in rows if find_task(row["task"]).is_whole(row)]):
+        columns, ranking = shown(group, console.width), Ranking(group)
         sheet = Table(title=Text(title), title_justify="left", box=box.SIMPLE_HEAD, padding=0, pad_edge=False)
         for column in columns:
             is_text = column in (ROW, VARIANT)
@@ -100,75 +101,13 @@ def print_leaderboard(rows: Sequence[Row], console: Console) -> None:
             )
         for row in group:
             cells = [
-                Text(column.text(row.get(column.key)), style="bold" if _is_best(column, row, best) else "")
+                Text(column.text(row.get(column.key)), style="bold" if ranking.place(column, row) == 1 else "")
                 for column in columns
             ]
             sheet.add_row(*cells, style=_style(row))
         console.print(sheet)
-        for row in _unsound(group):
-            console.print(Text(_reason(row), style=_style(row) or ""), soft_wrap=True)
-
-
-def _groups(rows: Sequence[Row]) -> Iterator[tuple[str, list[Row]]]:
-    groups: dict[tuple[str, str], list[Row]] = {}
-    for row in rows:
-        groups.setdefault((row["dataset"], find_task(row["task"]).title(row)), []).append(row)
-    for (dataset, title), group in groups.items():
-        yield f"{dataset}, {title}", group
-
-
-def _columns(rows: list[Row]) -> tuple[Column, ...]:
-    return find_task(rows[0]["task"]).shown
-
-
-def _shown(rows: list[Row], width: int | None = None) -> list[Column]:
-    """Columns worth their room in ``width`` characters (``None``: any): not those without a value."""
-    ids = [(row["row_id"], _part(row)) for row in rows]
-    # Rows of one name can be told apart by their variant alone, and a floor must be known for what it is.
-    telling = len(set(ids)) < len(ids) or any(row.get("floor") for row in rows)
-    return [
-        column
-        for column in _columns(rows)
-        if (width is None or width >= column.from_width or (column is VARIANT and telling))
-        and (column is ROW or any(row.get(column.key) is not None for row in rows))
-        and (column.key != "coverage" or any(row["coverage"] < 1 for row in rows))
-        and (column.key not in find_task(rows[0]["task"]).parts or len({row[column.key] for row in rows}) > 1)
-    ]
-
-
-def _best(rows: list[Row]) -> dict[Any, Any]:
-    """Of each part and column the smallest value."""
-    sound = [row for row in rows if _ranks(row)]
-    best: dict[Any, Any] = {}
-    for part in dict.fromkeys(map(_part, sound)):
-        own = [row for row in sound if _part(row) == part]
-        for column in _columns(rows) if len(own) > 1 else ():
-            values = [row[column.key] for row in own if row.get(column.key) is not None]
-            if values:
-                best[part, column.key] = min(values)
-    return best
-
-
-def _is_best(column: Column, row: Row, best: dict[Any, Any]) -> bool:
-    value = row.get(column.key)
-    return column.best and _ranks(row) and value is not None and value == best.get((_part(row), column.key))
-
-
-def _part(row: Row) -> tuple[Any, ...]:
-    """Which part of a run's samples the row is about."""
-    return tuple(row.get(column) for column in find_task(row["task"]).parts)
-
-
-def _ranks(row: Row) -> bool:
-    return row["status"] == "ok" and not row.get("floor")
-
-
-def _unsound(rows: list[Row]) -> list[Row]:
-    return [row for row in rows if row["status"] != "ok" and find_task(row["task"]).is_whole(row)]
-
-
-def _reason(row: Row) -> str:
-    return f"{row['row_id']}: {row['status']}: {row['error'] or 'no message'}"
+        for row in unsound(group):
+            console.print(Text(reason(row), style=_style(row) or ""), soft_wrap=True)
 
 
 def _style(row: Row) -> str | None:

@@ -19,7 +19,10 @@ from surgbench.errors import DatasetError
 from surgbench.processes.reference import REFERENCE_MS
 from surgbench.records.reader import read_records
 from surgbench.report import render
-from surgbench.report.field import keys
+from surgbench.report.field import keys, number
+from surgbench.report.field import text as field_text
+from surgbench.report.frame import csv_text, read_csv, to_frame, to_rows
+from surgbench.report.latex import escape, latex
 from surgbench.report.row import Row
 from surgbench.report.rows import read_rows
 from surgbench.tasks.instrument.rows import ERRORS, INSTRUMENT_COLUMNS
@@ -386,6 +389,51 @@ def test_brackets_in_names_are_not_markup(tmp_path: Path) -> None:
     assert "a[b]" in console.file.getvalue()  # type: ignore[attr-defined]
 
 
+FORMULAS = ["=1+1", "+1", "-1", "@SUM(A1)", "\t=1", "'=1", "''-1"]
+
+
+@pytest.mark.parametrize("text", [*FORMULAS, "'quoted'", "a=1", "5 - 3"])
+def test_no_cell_of_text_is_a_formula_and_none_is_lost(text: str) -> None:
+    fields = (*field_text("row_id"), *number("error"))
+    written = csv_text(to_frame([{"row_id": text, "error": -1.5}, {"row_id": None, "error": None}], fields))
+    cells = list(csv.reader(io.StringIO(written)))[1]
+    assert cells == [f"'{text}" if text in FORMULAS else text, "-1.5"]
+    assert to_rows(read_csv(written, fields)) == [{"row_id": text, "error": -1.5}, {"row_id": None, "error": None}]
+
+
+GOLDEN_LATEX = r"""% \usepackage{booktabs}; best in bold, second best underlined, floors and failed runs not ranked
+
+\begin{table}
+  \centering
+  \caption{mini, single arms}
+  \label{tab:mini-single-arms}
+  \begin{tabular}{llrrrrrrrrrrr}
+    \toprule
+    row & sequences & mask error & true mask error & rotation & translation & tips & q1 & q2 & q3 & keypoints & latency & p95 \\
+     &  &  &  & [rad] & [mm] & [mm] & [rad] & [rad] & [rad] & [px] & [ms] & [ms] \\
+    \midrule
+    ours\_1 & 1 & \textbf{0.020} & \textbf{0.010} & \textbf{0.100} & \textbf{1.00} & \textbf{2.00} & \textbf{0.050} & \textbf{0.025} & \textbf{0.013} & \textbf{1.0} & \textbf{10.0} & 10.0 \\
+    theirs & 1 & \underline{0.030} & \underline{0.015} & \underline{0.150} & \underline{1.50} & \underline{3.00} & \underline{0.075} & \underline{0.038} & \underline{0.019} & \underline{1.5} & \underline{10.5} & 10.9 \\
+    third & 1 & 0.040 & 0.020 & 0.200 & 2.00 & 4.00 & 0.100 & 0.050 & 0.025 & 2.0 & 11.0 & 11.9 \\
+    \bottomrule
+  \end{tabular}
+\end{table}
+"""  # noqa: E501
+
+
+def test_a_table_for_a_paper(tmp_path: Path) -> None:
+    rows = read_rows([
+        write(tmp_path, record("third", frames=3), record("theirs", frames=2), record("ours_1", frames=1))
+    ])  # fmt: skip
+    assert latex(rows) == GOLDEN_LATEX
+
+
+def test_names_are_no_commands_of_latex() -> None:
+    assert escape(r"\input{a} $%&#_^~ 5°" + "\n\x1b") == (
+        r"\textbackslash{}input\{a\} \$\%\&\#\_\textasciicircum{}\textasciitilde{} 5$^\circ$"
+    )
+
+
 def run_cli(*arguments: str) -> str:
     app = typer.Typer()
     app.command()(report)
@@ -397,7 +445,8 @@ def run_cli(*arguments: str) -> str:
 def test_command_writes_every_format(runs: Path, tmp_path: Path) -> None:
     rows = read_rows([runs])
     assert "mini, single arms" in run_cli(str(runs))
-    for name, text in (("csv", render.csv(rows)), ("markdown", render.markdown(rows)), ("json", render.json(rows))):
+    for name, how in {"csv": render.csv, "markdown": render.markdown, "json": render.json, "latex": latex}.items():
+        text = how(rows)
         assert run_cli(str(runs), "--format", name) == text
         assert run_cli(str(runs), "--format", name, "--out", str(tmp_path / name)) == ""
         assert (tmp_path / name).read_text(encoding="utf-8") == text
