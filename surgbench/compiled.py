@@ -9,10 +9,26 @@ from pathlib import Path
 from typing import Any
 
 from numba import njit
+from numba.core import event
 
 from surgbench.caches import announce_cache
 from surgbench.errors import ConfigError
 from surgbench.leftovers import without_leftovers
+from surgbench.processes.compiling import announce_compilation
+
+
+class _Announcer(event.Listener):
+    """Tells of every function that is compiled, also of those of plug-ins that use numba themselves."""
+
+    def on_start(self, event: Any) -> None:
+        announce_compilation()
+
+    def on_end(self, event: Any) -> None:
+        announce_compilation()
+
+
+_register: Any = event.register  # numba has no types
+_register("numba:compile", _Announcer())
 
 ENGINE = Path(__file__).parent
 announce_cache(ENGINE)  # before anything is compiled: numba refuses to where it cannot keep it

@@ -442,6 +442,24 @@ class Scribbling(Watching):
         return np.full(6, np.nan) if observation.index == 20 else self.joints
 
 
+class Mute(Watching):
+    """Answers with what is no command from the first step on."""
+
+    name = "mute"
+
+    def step(self, observation: Any) -> Any:
+        return np.full(6, np.nan)
+
+
+class Stumbling(Watching):
+    """Raises at once."""
+
+    name = "stumbling"
+
+    def step(self, observation: Any) -> Any:
+        raise RuntimeError("no")
+
+
 class Dozing(Watching):
     """Hangs."""
 

@@ -13,7 +13,7 @@ from multiprocessing.connection import Pipe
 from threading import Lock
 from typing import Any
 
-from surgbench.processes.service import CALIBRATE
+from surgbench.processes.service import CALIBRATE, COMPILING
 from surgbench.processes.threads import THREADS
 
 # The reference work may have to be compiled first, on a busy machine.
@@ -48,7 +48,8 @@ class Child:
     tracker would go on working, and whoever reads the output of this command would wait for them.
 
     Args:
-        timeout_s: The longest silence that is waited for, once it has said that it is ready.
+        timeout_s: The longest silence that is waited for, once it has said that it is ready. While a function is
+            compiled, it begins anew with each.
         module: What it runs.
         environment: What its environment has besides, or otherwise than, this process's.
         arguments: What the module is told besides.
@@ -125,10 +126,12 @@ class Child:
         return self._receive(max(self.timeout_s, START_TIMEOUT_S))
 
     def _receive(self, patience_s: float) -> tuple[Any, ...]:
+        message: tuple[Any, ...] = COMPILING
         try:
-            if not self._answers(patience_s):
-                raise ChildProblemError("timeout", f"no answer within {patience_s:g} s")
-            message: tuple[Any, ...] = self._connection.recv()
+            while message == COMPILING:  # the wait begins anew
+                if not self._answers(patience_s):
+                    raise ChildProblemError("timeout", f"no answer within {patience_s:g} s")
+                message = self._connection.recv()
         except (EOFError, OSError):
             code = self._wait()
             reason = f"killed by signal {-code}" if code < 0 else f"exited with code {code}"

@@ -9,12 +9,16 @@ import sys
 import traceback
 from collections.abc import Callable
 from multiprocessing.connection import Connection
+from threading import Lock
 from typing import Any
 
 from surgbench.errors import InvalidAnswerError
+from surgbench.processes.compiling import LISTENERS
 from surgbench.processes.ending import end_all, end_with_parent
 from surgbench.processes.streams import print_whatever_comes
 
+# What a child says in between, to those who wait for its answer: it compiles, and does not hang.
+COMPILING = ("compiling",)
 # A message that every child answers, with ("calibrated", milliseconds of each turn of the reference work).
 CALIBRATE = ("calibrate",)
 
@@ -63,17 +67,31 @@ def serve(connection: Connection, answer: Answer) -> None:
         connection: To the parent.
         answer: Takes a function that sends words in between, and a message's parts; returns the answer's.
     """
+    talking = Lock()
 
     def tell(*words: Any) -> None:
-        connection.send(words)
+        with talking:
+            connection.send(words)
 
+    def tell_of_compilation() -> None:
+        with contextlib.suppress(OSError):  # the parent may be gone, which is noticed elsewhere
+            tell(*COMPILING)
+
+    LISTENERS.append(tell_of_compilation)
+    try:
+        _serve(connection, answer, tell)
+    finally:
+        LISTENERS.remove(tell_of_compilation)
+
+
+def _serve(connection: Connection, answer: Answer, tell: Tell) -> None:
     while True:
         try:
             message = connection.recv()
         except (EOFError, OSError):  # the latter where the parent was killed before it had read everything
             return
         try:
-            connection.send(calibrate() if _asks_to_calibrate(message) else answer(tell, *message))
+            tell(*(calibrate() if _asks_to_calibrate(message) else answer(tell, *message)))
         except Exception as error:
             invalid = isinstance(error, InvalidAnswerError)
             line = " ".join((str(error) if invalid else f"{type(error).__name__}: {error}").split())

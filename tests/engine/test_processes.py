@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from collections.abc import Callable
 from multiprocessing import Pipe
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ from commandline import wait_until
 from surgbench.processes import reference_work
 from surgbench.processes.child import Child, ChildProblemError
 from surgbench.processes.reference import REFERENCE_MS
-from surgbench.processes.service import serve
+from surgbench.processes.service import COMPILING, serve
 from surgbench.suite.running import Run
 
 # Any module that serves its parent; it says which threads its libraries would use.
@@ -116,6 +117,53 @@ def test_a_parent_that_is_killed_with_words_unread_is_no_error() -> None:
     theirs.send("nobody reads this")
     ours.close()
     serve(theirs, lambda tell, *message: ("never",))
+
+
+COMPILER = """
+from __future__ import annotations
+from surgbench.processes.service import serve_parent
+
+def answer(tell, kind):
+    import surgbench.compiled
+    from numba import njit
+
+    @njit
+    def inner(x):
+        return 2 * x
+
+    @njit
+    def outer(x):
+        return inner(x) + 1
+
+    return ("done", outer(20))
+
+if __name__ == "__main__":
+    serve_parent(answer)
+"""
+
+
+def test_what_compiles_says_so_and_is_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "some_compiler.py").write_text(COMPILER)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=":")
+    with Child(120.0, "some_compiler") as child:
+        said: list[tuple[Any, ...]] = []
+        receive = child._connection.recv
+
+        def recv() -> tuple[Any, ...]:
+            said.append(receive())
+            return said[-1]
+
+        monkeypatch.setattr(child, "_connection", Line(child._connection, recv))
+        child.send("compile")
+        assert child.receive() == ("done", 41)
+    assert said[:-1] == [COMPILING] * 4  # as each of both functions begins and is done
+
+
+class Line:
+    """A connection whose messages are seen."""
+
+    def __init__(self, connection: Any, recv: Callable[[], tuple[Any, ...]]) -> None:
+        self.recv, self.send, self.poll, self.close = recv, connection.send, connection.poll, connection.close
 
 
 @pytest.fixture

@@ -212,6 +212,8 @@ class PatientChild(Child):
     [
         ("Fainting", "failed", "step 30: ValueError: it is all too much", 30),
         ("Scribbling", "invalid", "step 20: the controller returned a command with NaN or infinity", 20),
+        ("Mute", "invalid", "step 0: the controller returned a command with NaN or infinity", 0),
+        ("Stumbling", "failed", "step 0: RuntimeError: no", 0),
         ("Dozing", "timeout", "step 0: no answer within 5 s", 0),
     ],
 )
@@ -225,6 +227,7 @@ def test_a_controller_that_goes_wrong_costs_its_own_row(
     )
     good, bad = sorted(records(tmp_path), key=lambda record: str(record["status"]) != "ok")
     assert good["status"] == "ok"
+    assert {row["tracker"] for row in read_rows([tmp_path])} == {"watching", name.lower()}
     assert (bad["status"], bad["error"]) == (status, message)
     assert len(bad["frames"].get("index", [])) == steps
 

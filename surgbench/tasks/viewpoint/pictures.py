@@ -5,6 +5,7 @@ By geometry, with what covers it, and by its tags in pictures.
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -76,5 +77,5 @@ def _rows(pixels: FloatArray) -> list[list[float | None]]:
     """``(T, …)`` numbers as one list for each step, ``None`` for NaN."""
     return [
         [None if np.isnan(value) else round(value, DECIMALS) for value in row]
-        for row in pixels.reshape(len(pixels), -1).tolist()
+        for row in pixels.reshape(len(pixels), math.prod(pixels.shape[1:])).tolist()
     ]
