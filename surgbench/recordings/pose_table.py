@@ -72,14 +72,17 @@ def read_pose_table(
 
 
 def count_rows(path: Path) -> int:
-    """How many lines a table has, about: those that end.
+    """How many rows a table has, about: lines that end, but for one of names.
 
     Raises:
         DatasetError: It cannot be read; one line.
     """
     try:
         with path.open("rb") as file:
-            return sum(block.count(b"\n") for block in iter(lambda: file.read(1 << 20), b""))
+            names = any(
+                letter.isalpha() for letter in file.readline().decode(errors="replace").lower().replace("e", "")
+            )
+            return sum(block.count(b"\n") for block in iter(lambda: file.read(1 << 20), b"")) + (not names)
     except OSError as error:
         raise DatasetError(f"{path}: cannot be read ({error.strerror})") from None
 

@@ -132,13 +132,17 @@ def put_in_order(raw: RawPoses, unit: LengthUnit | None = None, time_unit: TimeU
             lines.append(f"warning: {other} of those {has} another pose than the {raw.row} before")
         values, numbers = values[later], numbers[later]
     if len(values) < 2:
-        raise DatasetError(f"{raw.place}: has {len(values)} poses; a motion needs two at least")
+        raise DatasetError(
+            f"{raw.place}: has {len(values)} {'pose' if len(values) == 1 else 'poses'}; a motion needs two at least"
+        )
     length = np.linalg.norm(values[:, 4:], axis=1)
     if (bad := length < 1e-6).any():
         raise DatasetError(f"{where(bad)}: its quaternion is zero")
     off = int((np.abs(length - 1.0) > NORM_SLACK).sum())
     if off:
-        lines.append(f"warning: {off} of {len(length)} quaternions are not of unit length, and were made so; are they?")
+        lines.append(
+            f"warning: {off} of {len(length)} quaternions are not of unit length, and were made so; is --columns right?"
+        )
     times_s = _seconds(values[:, 0], raw, time_unit, lines)
     position_m = _metres(values[:, 1:4], raw, unit, lines)
     return RecordedPoses(

@@ -44,9 +44,10 @@ def resample(poses: RecordedPoses, dt_s: float, gap_s: float) -> tuple[FloatArra
     count = int(np.floor(times[-1] / dt_s + AT_ROW)) + 1
     if count > MOST_SAMPLES or count < 2:
         longest = int(np.argmax(steps))
+        samples = "1 sample" if count == 1 else f"{count:,} samples"
         raise DatasetError(
-            f"{poses.place}: lasts {times[-1]:.6g} s, {count:,} samples of {dt_s:g} s; from 2 to {MOST_SAMPLES:,} can "
-            f"be (the longest time without a pose is {steps[longest]:.6g} s, after {poses.row} "
+            f"{poses.place}: lasts {times[-1]:.6g} s, {samples} of {dt_s:g} s; a trial has 2 to {MOST_SAMPLES:,} "
+            f"(the longest time without a pose is {steps[longest]:.6g} s, after {poses.row} "
             f"{poses.numbers[longest]})"
         )
     wanted = np.minimum(dt_s * np.arange(count), times[-1])
@@ -61,8 +62,9 @@ def resample(poses: RecordedPoses, dt_s: float, gap_s: float) -> tuple[FloatArra
     if not len(wide):
         return result, []
     longest = int(wide[np.argmax(steps[wide])])
+    gaps = "1 gap" if len(wide) == 1 else f"{len(wide)} gaps"
     line = (
-        f"{len(wide)} gaps longer than {gap_s:g} s, together {steps[wide].sum():.3g} s, count as not measured; the "
+        f"{gaps} longer than {gap_s:g} s, together {steps[wide].sum():.3g} s, count as not measured; the "
         f"longest, of {steps[longest]:.3g} s, is after {poses.row} {poses.numbers[longest]}"
     )
     return result, [line]

@@ -105,6 +105,8 @@ class CameraArmSpec(Section):
         for name, widest in WIDEST_RAD.items():
             if max(map(abs, self.joints.named()[name].range)) > widest + 1e-4:
                 raise ValueError(f"joint '{name}' must stay within ±{widest:.6g} rad; are its limits in degrees?")
+        if all(lower == upper for lower, upper in (joint.range for joint in self.joints.named().values())):
+            raise ValueError("all six joints are locked: an arm that cannot move holds no camera that follows")
         depth_m = self.joints.insertion.range[0] + self.insertion_offset_m + self.roll_offset_m
         if depth_m <= 0:
             raise ValueError(

@@ -13,13 +13,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surgbench.dataset.open import open_dataset
-from surgbench.errors import DatasetError, unknown_name
+from surgbench.errors import ConfigError, DatasetError, unknown_name
 from surgbench.extras import not_installed
 from surgbench.geometry import FloatArray
 from surgbench.viewpoint.registration import Method
@@ -85,6 +85,10 @@ class _Episodes:
     ) -> None:
         if (dataset is None) == (trials is None):
             raise DatasetError("an environment takes either a dataset's folder or trials")
+        if registration not in get_args(Method):
+            raise ConfigError(unknown_name("registration", str(registration), get_args(Method)))
+        if steps is not None and steps < 1:
+            raise ConfigError(f"steps is {steps}; an episode has one at least")
         if trials is None:
             assert dataset is not None
             data = open_dataset(dataset)
@@ -105,6 +109,22 @@ class _Episodes:
             (low - _MARGIN).astype(np.float32), (high + _MARGIN).astype(np.float32), dtype=np.float32
         )
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (6,), np.float32)
+
+    def check(self, options: dict[str, Any] | None, known: tuple[str, ...]) -> dict[str, Any]:
+        """The options of a reset, all of which are known."""
+        for name in options or {}:
+            if name not in known:
+                raise ConfigError(unknown_name("option of reset", str(name), known))
+        return options or {}
+
+    def actions(self, given: Any) -> FloatArray:
+        """``(N, 6)`` actions as they are given, in a world of its own as ``(6,)``."""
+        count = len(self.worlds.index)
+        actions = np.asarray(given, dtype=np.float64)
+        if actions.shape not in ([(count, 6), (6,)] if count == 1 else [(count, 6)]):
+            expected = "(6,)" if count == 1 else f"({count}, 6)"
+            raise ConfigError(f"an action is of shape {expected}, one velocity for each joint; not {actions.shape}")
+        return actions.reshape(count, 6)
 
     def begin(self, begun: NDArray[np.bool_], generators: Sequence[np.random.Generator], name: str | None) -> None:
         """Begin episodes: on the trial of that name, or on one that each world's generator draws."""
@@ -177,7 +197,8 @@ class ViewpointEnv(gymnasium.Env):
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
         """Begin a trial."""
         super().reset(seed=seed)
-        self.episodes.begin(self._begun, [self.np_random], (options or {}).get("trial"))
+        told = self.episodes.check(options, ("trial",))
+        self.episodes.begin(self._begun, [self.np_random], told.get("trial"))
         return self.episodes.observe()[0], {"trial": self._trial}
 
     def step(self, action: Any) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
@@ -189,7 +210,7 @@ class ViewpointEnv(gymnasium.Env):
         worlds = self.episodes.worlds
         if worlds.ended[0]:
             raise gymnasium.error.ResetNeeded("the trial is at its end, or has not begun: call reset()")
-        worlds.step(np.asarray(action, dtype=np.float64).reshape(1, 6))
+        worlds.step(self.episodes.actions(action))
         info: dict[str, Any] = dict(zip(TOLD, worlds.views[0].tolist(), strict=True))
         if not worlds.counted[0]:
             info = {name: info[name] for name in DEPTHS}
@@ -237,7 +258,7 @@ class ViewpointVectorEnv(VectorEnv):
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
         """Begin a trial in every world, or in those of ``options["reset_mask"]``."""
-        told = options or {}
+        told = self.episodes.check(options, ("trial", "reset_mask"))
         if isinstance(seed, (int, np.integer)):
             seed = [int(seed) + n for n in range(self.num_envs)]
         seeds = list(seed or [])
@@ -254,7 +275,7 @@ class ViewpointVectorEnv(VectorEnv):
         """One step of every world's control loop."""
         worlds = self.episodes.worlds
         again = worlds.ended
-        worlds.step(np.asarray(actions, dtype=np.float64))
+        worlds.step(self.episodes.actions(actions))
         rewards, counted = self.episodes.rewards(), worlds.counted
         info: dict[str, Any] = dict(zip(TOLD, worlds.views.T.copy(), strict=True))
         info |= {f"_{name}": ~again if name in DEPTHS else counted for name in TOLD}

@@ -187,9 +187,7 @@ def test_gaps_are_held_and_jumps_are_told(tmp_path: Path, capsys: pytest.Capture
     table = put_table(tmp_path / "path.csv", times[keep], poses[keep])
     trial = imported(table, "--of", "feature", out=tmp_path / "data").trial("path")
     told = capsys.readouterr().err
-    assert (
-        "1 gaps longer than 0.1 s, together 0.391 s, count as not measured; the longest, of 0.391 s, is after" in told
-    )
+    assert "1 gap longer than 0.1 s, together 0.391 s, count as not measured; the longest, of 0.391 s, is after" in told
     assert "warning: path.csv: 1 of 160 samples are faster than 0.5 m/s" in told
     assert np.array_equal(trial.measured, keep)
     scene = make_scene(trial)
@@ -242,7 +240,15 @@ def test_bad_recordings_are_one_line(path: Path, tmp_path: Path, capsys: pytest.
         ({"base": {"position_m": [0, 0, 0.2], "quaternion_xyzw": [0, 0, 0, 0]}}, "a quaternion must not be zero"),
         ({"base": {"position_m": [5, 0, 0.2]}}, "camera arm 'psm_classic' can look at the feature nowhere"),
         ({"start": [0, 0, 9, 0, 0, 0]}, "start joint 3 is 9, outside its limits [0, 0.24]"),
-        ({"touches": {"world_m": [[0, 0, 0]], "base_m": []}}, "as many points"),
+        ({"touches": {"world_m": [[0, 0, 0]], "base_m": []}}, "world_m has 1 points and base_m 0"),
+        ({"zone_m": [[1e3 * x for x in point] for point in ZONE]}, "is it in millimetres?"),
+        (
+            {"zone_m": [*ZONE[:4], [0, 0, -0.05]]},
+            "its fifth point is as high as the zone's top, and must be above its base",
+        ),
+        ({"base": {"position_m": [1e300, 0, 0.2]}}, "base.position_m is 1e+300 m off"),
+        ({"touches": {"world_m": [[0, 0, 0]], "base_m": [[0, 290.0, 0]]}}, "touches.base_m is 290 m off"),
+        ({"distance_m": 0.05}, "distance_m is 0.05, but proximity_m keeps the camera 0.08 away"),
         ({"touches": {"world_m": [[0, 0, 0]], "base_m": [[0, 0, 0]]}}, "touches say where the base is"),
         ({"preferred_side": [0, 0, 0]}, "preferred_side must not be zero"),
         ({"feature": {"normal": "w"}}, "normal"),
@@ -255,6 +261,18 @@ def test_scenes_that_cannot_be_are_one_line(
 ) -> None:
     scene = put_scene(tmp_path / "scene.yaml", **content)
     assert said in refused(capsys, "trajectory", path, "--of", "feature", "--scene", scene, out=tmp_path / "data")
+
+
+def test_touched_points_in_another_order_are_doubted(
+    path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    world = [[0.0, 0.0, 0.0], [0.05, 0.0, 0.0], [0.0, 0.08, 0.0], [0.0, 0.0, 0.03]]
+    away = [[x - 0.2, y, z - 0.19] for x, y, z in world]
+    for number, (touched, doubted) in enumerate(((away, False), (away[::-1], True))):
+        touches = {"world_m": world, "base_m": touched}
+        scene = put_scene(tmp_path / "scene.yaml", touches=touches, base={"position_m": [0.2, 0, 0.19]})
+        surgbench("import", "trajectory", path, "--of", "feature", "--scene", scene, "--out", tmp_path / f"{number}")
+        assert ("are world_m and base_m in the same order?" in capsys.readouterr().err) == doubted
 
 
 def test_a_hostile_scene_is_one_line(path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

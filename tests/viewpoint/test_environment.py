@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from surgbench.errors import DatasetError
+from surgbench.errors import ConfigError, DatasetError
 from surgbench.geometry import FloatArray, inverse_transform
 from surgbench.tasks.viewpoint.conformance.worlds import DT_S, circling, feature_poses, make_trial, random_trial
 from surgbench.viewpoint.arm_files import load_camera_arm
@@ -210,6 +210,24 @@ def gym() -> Any:
 
 
 TRIALS = [circling(40), circling(60, radius_m=0.01, period_s=5.0)]
+
+
+@pytest.mark.extras
+def test_what_is_wrong_is_told_in_one_line(gym: Any) -> None:
+    from surgbench.viewpoint.environment import ViewpointEnv, ViewpointVectorEnv
+
+    for wrong, said in (({"registration": "rigit"}, "did you mean 'rigid'"), ({"steps": 0}, "steps is 0")):
+        with pytest.raises(ConfigError, match=said):
+            ViewpointEnv(trials=TRIALS, **wrong)
+    one, many = ViewpointEnv(trials=TRIALS), ViewpointVectorEnv(2, trials=TRIALS)
+    for environment in (one, many):
+        with pytest.raises(ConfigError, match="unknown option of reset 'trail'; did you mean 'trial'"):
+            environment.reset(options={"trail": TRIALS[0].id})
+        environment.reset()
+    with pytest.raises(ConfigError, match=r"an action is of shape \(6,\), one velocity for each joint; not \(5,\)"):
+        one.step(np.zeros(5))
+    with pytest.raises(ConfigError, match=r"of shape \(2, 6\).*; not \(6,\)"):
+        many.step(np.zeros(6))
 
 
 @pytest.mark.extras

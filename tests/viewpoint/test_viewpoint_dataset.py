@@ -244,7 +244,7 @@ def test_a_zone_that_spans_nothing_and_a_start_beyond_the_limits_are_said(copy: 
     [
         ("T_world_base", [2.0, *[0.0] * 15], "T_world_base is not a rotation and a translation"),
         ("preferred_side", [1.0, 1.0, 0.0], "preferred_side must be of unit length"),
-        ("touches", {"world_m": [[0, 0, 0]], "base_m": []}, "world_m and base_m must have as many points"),
+        ("touches", {"world_m": [[0, 0, 0]], "base_m": []}, "world_m has 1 points and base_m 0"),
         ("id", "../escape", "'trials.0.id'"),
         ("dt_s", 0.0, "'trials.0.dt_s'"),
         ("colour", "red", "'trials.0.colour'"),

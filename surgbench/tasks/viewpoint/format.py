@@ -63,7 +63,9 @@ class TouchEntry(Section):
     @model_validator(mode="after")
     def _paired(self) -> TouchEntry:
         if len(self.world_m) != len(self.base_m):
-            raise ValueError("world_m and base_m must have as many points")
+            raise ValueError(
+                f"world_m has {len(self.world_m)} points and base_m {len(self.base_m)}; both arms touched the same ones"
+            )
         return self
 
 

@@ -34,9 +34,12 @@ def rule_row(records: Sequence[ViewpointRecord]) -> Row:
     """The columns of some runs together: sums of events and samples, and of all events the longest and the deepest.
 
     All steps count, also those at which the feature was not measured: an arm that waits may be in the way as well.
-    Events end with their run. ``None`` where no run has what a column is made of; of counts as reported, 0.
+    Events end with their run. ``None`` where no run has what a column is made of; of counts as reported, 0 where a run
+    has done a step.
     """
-    row: Row = {**dict.fromkeys(field.key for field in rule_fields()), **dict.fromkeys(EVENT_COUNTS[""], 0)}
+    row: Row = dict.fromkeys(field.key for field in rule_fields())
+    if any(record.frames.index for record in records):
+        row |= dict.fromkeys(EVENT_COUNTS[""], 0)
     for twin in TWINS:
         for rule, longest, deepest in zip(CONSTRAINTS, LONGEST[twin], DEEPEST[twin], strict=True):
             depths = [(depth_of(record, rule, twin), record.dt_s) for record in records]

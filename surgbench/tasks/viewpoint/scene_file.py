@@ -12,13 +12,15 @@ from scipy.spatial.transform import Rotation
 from surgbench.config import Finite, NotNegative, Positive, Section, is_file, parse_model, read_yaml
 from surgbench.geometry import FloatArray, rigid_transform
 from surgbench.tasks.viewpoint.format import Point, TouchEntry
-from surgbench.viewpoint.placement import DISTANCE_M
+from surgbench.viewpoint.placement import DISTANCE_M, UP
 from surgbench.viewpoint.workspace import FLOOR_M, PROXIMITY_M
 
 Normal = Literal["x", "-x", "y", "-y", "z", "-z"]
 # From AutoCam's tool to the ring that it holds, along the tool's z.
 FEATURE_OFFSET_M = (0.0, 0.0, 0.033)
 WORLD, CAMERA_BASE = "world", "camera-base"
+# No part of an operating room's scene is farther off, or larger.
+FARTHEST_M, LARGEST_ZONE_M = 20.0, 2.0
 
 
 class PoseEntry(Section):
@@ -100,7 +102,36 @@ class SceneFile(Section):
             raise ValueError("preferred_side must not be zero")
         if {WORLD, CAMERA_BASE} & set(self.frames):
             raise ValueError(f"frames: '{WORLD}' and '{CAMERA_BASE}' are known already")
+        if self.distance_m <= self.proximity_m:
+            raise ValueError(
+                f"distance_m is {self.distance_m:g}, but proximity_m keeps the camera {self.proximity_m:g} away"
+            )
+        if self.zone_m is not None:
+            self._check_zone(np.array(self.zone_m))
+        for name, points in self._places().items():
+            if len(points) and np.abs(points).max() > FARTHEST_M:
+                raise ValueError(
+                    f"{name} is {np.abs(points).max():.6g} m off; lengths are in metres: is it in millimetres?"
+                )
         return self
+
+    def _places(self) -> dict[str, FloatArray]:
+        """Everything of the scene that has a place, ``(n, 3)`` each."""
+        poses = {**({} if self.base is None else {"base": self.base}), **self.frames}
+        places = {f"{name}.position_m": np.reshape(pose.position_m, (1, 3)) for name, pose in poses.items()}
+        places["feature.offset_m"] = np.reshape(self.feature.offset_m, (1, 3))
+        if self.touches is not None:
+            places |= {"touches.world_m": np.reshape(self.touches.world_m, (-1, 3))}
+            places |= {"touches.base_m": np.reshape(self.touches.base_m, (-1, 3))}
+        return places
+
+    @staticmethod
+    def _check_zone(points: FloatArray) -> None:
+        size = float(np.linalg.norm(points[:, None] - points[None], axis=2).max())
+        if size > LARGEST_ZONE_M:
+            raise ValueError(f"zone_m is {size:.6g} m wide; lengths are in metres: is it in millimetres?")
+        if points[4] @ UP < points[:4].mean(axis=0) @ UP:
+            raise ValueError("zone_m: its fifth point is as high as the zone's top, and must be above its base")
 
 
 def load_scene(path: Path) -> SceneFile:

@@ -17,7 +17,7 @@ from surgbench.geometry import FloatArray, inverse_transform, rigid_transform, r
 from surgbench.tasks.viewpoint.scene_file import SceneFile
 from surgbench.viewpoint.camera_arm import CameraArm
 from surgbench.viewpoint.placement import UP
-from surgbench.viewpoint.registration import RegistrationError, Touches, register
+from surgbench.viewpoint.registration import RegistrationError, Touches, register, residual_m
 from surgbench.viewpoint.setting_up import aim, rest, turned_base
 from surgbench.viewpoint.workspace import PREFERRED_SIDE, NoGoZone, Workspace
 
@@ -25,6 +25,8 @@ from surgbench.viewpoint.workspace import PREFERRED_SIDE, NoGoZone, Workspace
 BOX_M, MARGIN_M, BELOW_M = np.array([0.082, 0.076, 0.049]), 0.002, 0.006
 # Of the remote centre from the middle of the box: towards the normals' side, and up.
 REMOTE_M, REMOTE_UP_M = 0.203, 0.190
+# Touched points are off by millimetres; those that are farther apart are not the same ones.
+TOUCHED_M = 0.01
 # Where both arms touched, as shares of the box.
 TOUCHED = np.array([[-0.3, -0.35, 0.9], [0.3, -0.35, 0.2], [0.3, 0.35, 0.9], [-0.3, 0.35, 0.2], [0.0, 0.0, 0.5]])
 CORNERS = np.array([[-0.5, 0.5, 0.0], [0.5, 0.5, 0.0], [0.5, -0.5, 0.0], [-0.5, -0.5, 0.0], [0.0, 0.0, 1.0]])
@@ -92,10 +94,26 @@ def surround(scene: SceneFile, arm: CameraArm, T_world_feature: FloatArray) -> S
     touches = _touches(scene, base, box)
     if scene.touches is None:
         assumed.append("a registration without error")
+    elif len(touches.world_m) > 2:
+        warnings += _misfit(base, touches)
     x, y, z = (float(value) for value in preferred)
     workspace = Workspace(NoGoZone(zone), scene.floor_m, scene.proximity_m, (x, y, z))
     said = [f"assumed: {', '.join(assumed)}; --scene FILE.yaml says otherwise"] if assumed else []
     return Surroundings(base, touches, workspace, (*said, *warnings))
+
+
+def _misfit(T_world_base: FloatArray, touches: Touches) -> list[str]:
+    """A warning where touched points fit no base well; those that are on a line say nothing."""
+    try:
+        residual = residual_m(register(T_world_base, touches, "rigid"), touches)
+    except RegistrationError:
+        return []
+    if residual <= TOUCHED_M:
+        return []
+    return [
+        f"warning: the touched points are {1e3 * residual:.0f} mm apart in the mean, however the base is turned; are "
+        "world_m and base_m in the same order?"
+    ]
 
 
 def first_joints(

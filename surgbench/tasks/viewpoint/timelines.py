@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 Job = UnitRuns[ViewpointDataset, ViewpointRecord]
 # Okabe and Ito's, apart for colour-blind eyes too.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#333333")
+# When they begin again.
+DASHES = ("-", (0, (4, 1.5)), (0, (1, 1)))
 # The article's: red, green, blue, orange, cyan.
 RULE_COLOURS = ("#D62728", "#2CA02C", "#1F77B4", "#FF9E1B", "#17BECF")
 BROKEN = "#B00020"
@@ -105,7 +107,7 @@ def _draw(job: Job, path: Path) -> None:
     panels[-1].set_xlim(0, len(constrained) * entry.dt_s)
     handles, labels = panels[0].get_legend_handles_labels()
     title = f"{job.dataset.name}, trial {entry.id}; grey: rules speak against the naive pose"
-    figure.legend(handles, labels, loc="outside upper center", ncols=min(len(handles), 7), frameon=False, title=title)
+    figure.legend(handles, labels, loc="outside upper center", ncols=min(len(handles), 10), frameon=False, title=title)
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=DPI, metadata={"Software": None})
     write_atomic(path, buffer.getvalue())
@@ -122,7 +124,8 @@ def _curves(
     for begin, end in spans(constrained):
         panel.axvspan(begin * dt_s, end * dt_s, color=CONSTRAINED, lw=0, zorder=0)
     for number, (values, name) in enumerate(zip(curves, names, strict=True)):
-        panel.plot(dt_s * np.arange(len(values)), values, color=COLOURS[number % len(COLOURS)], lw=0.8, label=name)
+        colour, dashes = COLOURS[number % len(COLOURS)], DASHES[number // len(COLOURS) % len(DASHES)]
+        panel.plot(dt_s * np.arange(len(values)), values, color=colour, ls=dashes, lw=0.8, label=name)
     together = np.concatenate(list(curves))
     together = together[np.isfinite(together)]
     panel.set_ylim(0, 1.1 * max(float(np.quantile(together, 1 - ABOVE_SHARE)), 1e-3) if len(together) else 1)
@@ -143,14 +146,15 @@ def _rules(panel: Axes, flags: Sequence[RuleFlags], names: Sequence[str], dt_s: 
             ):
                 bars = [(begin * dt_s, (end - begin) * dt_s) for begin, end in spans(np.asarray(mask))]
                 panel.broken_barh(bars, place, color=colour, alpha=alpha, lw=0)
+            panel.text(
+                1.004, place[0] + place[1] / 2, RULE_NAMES[CONSTRAINTS[lane]], color=RULE_COLOURS[lane], fontsize=6,
+                va="center", transform=panel.get_yaxis_transform(),
+            )  # fmt: skip
     panel.set_yticks([number + 0.5 for number in range(len(names))])
     panel.set_yticklabels(
         [f"{name}{'' if own.told else '*'}" for name, own in zip(names, flags, strict=True)], fontsize=8
     )
     panel.set_ylim(len(names), 0)
-    for lane, name in enumerate(CONSTRAINTS):
-        place = 1.004, 0.98 - 0.19 * lane
-        panel.text(*place, RULE_NAMES[name], transform=panel.transAxes, color=RULE_COLOURS[lane], fontsize=7, va="top")
     panel.set_title(
         "rules active for the controller (*: it does not say; those against the naive pose); dark red: broken by more "
         "than 0.5 mm or 0.5 deg",
