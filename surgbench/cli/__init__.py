@@ -18,6 +18,7 @@ from surgbench.cli.check import tracker
 from surgbench.cli.convert import convert_app
 from surgbench.cli.export import export
 from surgbench.cli.generate import generate
+from surgbench.cli.grouped import GroupedCommand
 from surgbench.cli.handeye import handeye
 from surgbench.cli.import_ import import_app
 from surgbench.cli.list_ import list_names
@@ -61,9 +62,9 @@ def _run_with_all_options() -> Any:
     from surgbench.suite.asked import RowRequest
     from surgbench.task import all_tasks
 
-    options = field_options({task.row: f"({task.name}) " for task in all_tasks()}, RowRequest)
+    options = field_options({task.row: f"Of the {task.name} task" for task in all_tasks()}, RowRequest)
     own = typer.Typer(rich_markup_mode=None, add_completion=False, pretty_exceptions_enable=False)
-    own.command("run")(with_options(run, options, "asked"))
+    own.command("run", cls=GroupedCommand)(with_options(run, options, "asked"))
     return typer.main.get_command(own)
 
 
@@ -73,7 +74,7 @@ def _track_with_all_options() -> Any:
     model: Any = getattr(find("importer", IMPORTER).cls, "Config")  # noqa: B009
     options = {key: value for key, value in field_options({model: ""}).items() if key not in NOT_ASKED}
     own = typer.Typer(rich_markup_mode=None, add_completion=False, pretty_exceptions_enable=False)
-    own.command("track")(with_options(track, options, "options"))
+    own.command("track", cls=GroupedCommand)(with_options(track, options, "options"))
     return typer.main.get_command(own)
 
 
@@ -82,9 +83,9 @@ def _serve_with_all_options() -> Any:
     from surgbench.suite.asked import RowRequest
     from surgbench.task import find_task
 
-    options = field_options({find_task(find("tracker", REMOTE).task).row: "With --dataset: "}, RowRequest)
+    options = field_options({find_task(find("tracker", REMOTE).task).row: "With --dataset"}, RowRequest)
     own = typer.Typer(rich_markup_mode=None, add_completion=False, pretty_exceptions_enable=False)
-    own.command("serve-viewpoint")(with_options(serve_viewpoint, options, "asked"))
+    own.command("serve-viewpoint", cls=GroupedCommand)(with_options(serve_viewpoint, options, "asked"))
     return typer.main.get_command(own)
 
 

@@ -7,12 +7,16 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from surgbench.cli.completion import plugins
+
 if TYPE_CHECKING:
     from surgbench.conformance.checks import Outcome
 
 
 def tracker(
-    reference: Annotated[str, typer.Argument(metavar="NAME|FILE.py:Class", help="A tracker.")],
+    reference: Annotated[
+        str, typer.Argument(metavar="NAME|FILE.py:Class", help="A tracker.", autocompletion=plugins("tracker"))
+    ],
     set_: Annotated[
         list[str] | None, typer.Option("--set", metavar="NAME.option=value", help="An option; may be repeated.")
     ] = None,

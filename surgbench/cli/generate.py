@@ -9,11 +9,17 @@ from typing import Annotated
 
 import typer
 
+from surgbench.cli.completion import files
 from surgbench.cli.progress import progress
 
 
 def generate(
-    preset: Annotated[str, typer.Argument(metavar="PRESET|FILE.yaml", help="A preset's name, or a preset file.")],
+    preset: Annotated[
+        str,
+        typer.Argument(
+            metavar="PRESET|FILE.yaml", help="A preset's name, or a preset file.", autocompletion=files("presets")
+        ),
+    ],
     out: Annotated[
         Path, typer.Option(help="The dataset's folder: new, empty, or an interrupted one of the same settings.")
     ],

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from surgbench.cli.completion import plugins
+
 if TYPE_CHECKING:
     from pydantic import BaseModel
     from pydantic.fields import FieldInfo
@@ -19,11 +21,11 @@ def field_options(models: Mapping[type[BaseModel], str], known: type[BaseModel] 
     """Parameters of a command, one for each field; ``None`` stands for what the command line does not say.
 
     A field's description is the help; a word in capitals at its begin (``NAME:``) stands for the value. What a field
-    keeps under ``json_schema_extra`` may name another ``option``, and one that is the same ``also``; what is ``hidden``
-    is no option.
+    keeps under ``json_schema_extra`` may name another ``option``, and one that is the same ``also``, and the
+    kind of ``plugins`` whose names the shell completes; what is ``hidden`` is no option.
 
     Args:
-        models: Their fields are taken, of two of one name the first; and what the help of each model's begins with.
+        models: Their fields are taken, of two of one name the first; and the heading that each model's stand under.
         known: Fields that this model has are left out.
 
     Returns:
@@ -31,23 +33,30 @@ def field_options(models: Mapping[type[BaseModel], str], known: type[BaseModel] 
     """
     left_out = {} if known is None else known.model_fields
     found: dict[str, Any] = {}
-    for model, prefix in models.items():
+    for model, heading in models.items():
         for name, field in model.model_fields.items():
             extra = field.json_schema_extra
             hidden = isinstance(extra, dict) and extra.get("hidden")
             if name not in left_out and name not in found and not hidden:
-                found[name] = _option(name, field, prefix)
+                found[name] = _option(name, field, heading)
     return found
 
 
-def _option(name: str, field: FieldInfo, prefix: str) -> Any:
+def _option(name: str, field: FieldInfo, heading: str) -> Any:
     extra = field.json_schema_extra if isinstance(field.json_schema_extra, dict) else {}
     flags = [f"--{extra.get('option', name.replace('_', '-'))}", *([f"--{extra['also']}"] if "also" in extra else [])]
     words = field.description or ""
     first, _, rest = words.partition(" ")
     metavar = first.rstrip(":") if len(first) > 2 and first.rstrip(":").isupper() else None
     meaning = rest if metavar else words
-    return Annotated[field.annotation | None, typer.Option(*flags, metavar=metavar, help=prefix + meaning)]  # type: ignore[operator]
+    option = typer.Option(
+        *flags,
+        metavar=metavar,
+        help=meaning[:1].upper() + meaning[1:],
+        rich_help_panel=heading or None,
+        autocompletion=plugins(str(extra["plugins"])) if "plugins" in extra else None,
+    )
+    return Annotated[field.annotation | None, option]  # type: ignore[operator]
 
 
 def with_options(command: Command, options: dict[str, Any], into: str, doc: str | None = None) -> Command:

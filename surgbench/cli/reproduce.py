@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from surgbench.cli.completion import files
 from surgbench.cli.progress import Bar, progress
 
 if TYPE_CHECKING:
@@ -20,7 +21,12 @@ COMMITTED, OWN = Path("results"), Path("reproduced")
 
 
 def reproduce(
-    table: Annotated[str, typer.Argument(metavar="TABLE|FILE.yaml", help="A table's name, or a table file.")],
+    table: Annotated[
+        str,
+        typer.Argument(
+            metavar="TABLE|FILE.yaml", help="A table's name, or a table file.", autocompletion=files("tables")
+        ),
+    ],
     arms: Annotated[
         Literal["single", "dual"], typer.Option(help="The table of single arms, or that of pairs in one image.")
     ] = "single",

@@ -8,23 +8,45 @@ from typing import Annotated, Any, Literal
 import typer
 
 from surgbench.cli.carry_out import carry_out
+from surgbench.cli.completion import files, plugins
+
+# Headings of the help.
+WHAT, MUCH, HOW, WORK = "What is run", "How much of it", "Under which conditions", "The work"
 
 
 def run(
     asked: dict[str, Any],
-    dataset: Annotated[Path, typer.Option(metavar="DIR", help="A dataset's folder.")],
+    dataset: Annotated[Path, typer.Option(metavar="DIR", help="A dataset's folder.", rich_help_panel=WHAT)],
     tracker: Annotated[
-        list[str] | None, typer.Option(metavar="NAME|FILE.py:Class", help="A tracker; may be repeated.")
+        list[str] | None,
+        typer.Option(
+            metavar="NAME|FILE.py:Class",
+            help="A tracker; may be repeated.",
+            rich_help_panel=WHAT,
+            autocompletion=plugins("tracker"),
+        ),
     ] = None,
     suite: Annotated[
-        str | None, typer.Option(metavar="NAME|FILE.yaml", help="Rows from a suite instead of --tracker.")
+        str | None,
+        typer.Option(
+            metavar="NAME|FILE.yaml",
+            help="Rows from a suite instead of --tracker.",
+            rich_help_panel=WHAT,
+            autocompletion=files("suites"),
+        ),
     ] = None,
-    no_joints: Annotated[bool, typer.Option("--no-joints", help="Without joint readings, as is the default.")] = False,
+    no_joints: Annotated[
+        bool, typer.Option("--no-joints", help="Without joint readings, as is the default.", rich_help_panel=HOW)
+    ] = False,
     joints: Annotated[
-        bool, typer.Option("--joints", help="With the dataset's own readings: a recording's, or noisy ones.")
+        bool,
+        typer.Option(
+            "--joints", help="With the dataset's own readings: a recording's, or noisy ones.", rich_help_panel=HOW
+        ),
     ] = False,
     arms: Annotated[
-        Literal["single", "dual"] | None, typer.Option(help="Each arm alone, or pairs in one mask.")
+        Literal["single", "dual"] | None,
+        typer.Option(help="Each arm alone, or pairs in one mask.", rich_help_panel=HOW),
     ] = None,
     set_: Annotated[
         list[str] | None,
@@ -32,34 +54,51 @@ def run(
             "--set",
             metavar="NAME.option=value",
             help="An option, of every row in which NAME takes part; may be repeated.",
+            rich_help_panel=WHAT,
         ),
     ] = None,
     sequences: Annotated[
         int | None,
-        typer.Option(min=1, metavar="N", help="Only N arms or pairs, spread over the dataset."),
+        typer.Option(min=1, metavar="N", help="Only N arms or pairs, spread over the dataset.", rich_help_panel=MUCH),
     ] = None,
-    frames: Annotated[int | None, typer.Option(min=1, metavar="N", help="Only the first N frames of each.")] = None,
-    repeats: Annotated[int | None, typer.Option(min=1, help="Runs per sequence, each with its own seed.")] = None,
-    seed: Annotated[int | None, typer.Option(min=0, help="Default: 0.")] = None,
-    jobs: Annotated[int, typer.Option(min=1, help="Runs at a time. Use 1 where latencies matter.")] = 1,
+    frames: Annotated[
+        int | None, typer.Option(min=1, metavar="N", help="Only the first N frames of each.", rich_help_panel=MUCH)
+    ] = None,
+    repeats: Annotated[
+        int | None, typer.Option(min=1, help="Runs per sequence, each with its own seed.", rich_help_panel=MUCH)
+    ] = None,
+    seed: Annotated[int | None, typer.Option(min=0, help="Default: 0.", rich_help_panel=HOW)] = None,
+    jobs: Annotated[
+        int, typer.Option(min=1, help="Runs at a time. Use 1 where latencies matter.", rich_help_panel=WORK)
+    ] = 1,
     timeout: Annotated[
-        float | None, typer.Option(metavar="S", help="Longest wait for one answer of a tracker; default: 120.")
+        float | None,
+        typer.Option(metavar="S", help="Longest wait for one answer of a tracker; default: 120.", rich_help_panel=HOW),
     ] = None,
     device: Annotated[
-        Literal["cpu", "cuda"] | None, typer.Option(help="Where trackers score candidates; default: cpu.")
+        Literal["cpu", "cuda"] | None,
+        typer.Option(help="Where trackers score candidates; default: cpu.", rich_help_panel=HOW),
     ] = None,
     retry_failed: Annotated[
-        bool, typer.Option("--retry-failed/--keep-failed", help="Whether failed runs are tried again.")
+        bool,
+        typer.Option("--retry-failed/--keep-failed", help="Whether failed runs are tried again.", rich_help_panel=WORK),
     ] = True,
     again: Annotated[
-        bool, typer.Option("--again", help="Run everything again; records that are there are replaced.")
+        bool,
+        typer.Option(
+            "--again", help="Run everything again; records that are there are replaced.", rich_help_panel=WORK
+        ),
     ] = False,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be run, and run nothing.")] = False,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of records.")] = Path("runs"),
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Say what would be run, and run nothing.", rich_help_panel=WORK)
+    ] = False,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of records.", rich_help_panel=WORK)] = Path("runs"),
 ) -> None:
     """Run trackers on a dataset; every run becomes a record, and is not run again.
 
     Example: surgbench run --dataset data/mini --tracker cmaes --set cmaes.iterations=5
+
+    Example: surgbench run --dataset data/chaser --tracker gaze --tracker autocam
 
     A tracker runs in a process of its own that is sent observations only. FILE.py:Class runs that file with
     your rights. A failed run is a record too; the exit code is 1 where every run failed. What this machine lacks

@@ -10,6 +10,8 @@ from typing import Annotated, Any
 
 import typer
 
+from surgbench.cli.completion import plugins
+
 IMPORTER = "masks"  # whose options are those of this command, too
 OF_VIDEO = "video"  # what reads a recording whose masks are to be made
 # What every tracking has for itself.
@@ -27,7 +29,9 @@ def track(
         ),
     ],
     out: Annotated[Path, typer.Option(metavar="FILE.csv", help="The poses; replaced if it is there.")],
-    tracker: Annotated[str, typer.Option(metavar="NAME|FILE.py:Class", help="The tracker.")] = "hybrid",
+    tracker: Annotated[
+        str, typer.Option(metavar="NAME|FILE.py:Class", help="The tracker.", autocompletion=plugins("tracker"))
+    ] = "hybrid",
     masks: Annotated[
         str | None, typer.Option(metavar="NAME|FILE.py:Class", help="A mask source: makes the masks of a video.")
     ] = None,

@@ -12,7 +12,7 @@ import typer
 from typer.testing import CliRunner
 
 import surgbench
-from surgbench.cli import app
+from surgbench.cli import app, main
 from surgbench.suite.suites import parse_sets
 
 COMMANDS = [
@@ -40,6 +40,50 @@ def test_help_shows_an_example(command: tuple[str, ...]) -> None:
     result = CliRunner().invoke(app, [*command, "--help"])
     assert result.exit_code == 0
     assert f"Example: surgbench {' '.join(command)}" in " ".join(result.output.split())
+
+
+def test_the_many_options_of_a_run_stand_in_groups(capsys: pytest.CaptureFixture[str]) -> None:
+    run_main("run", "--help")
+    text = capsys.readouterr().out
+    headings = [line.rstrip(":") for line in text.splitlines() if line.endswith(":") and not line.startswith(" ")]
+    assert headings == [
+        "What is run", "Under which conditions", "How much of it", "The work", "Of the instrument task",
+        "Of the viewpoint task", "Options",
+    ]  # fmt: skip
+    of_cameras = text.partition("Of the viewpoint task:")[2]
+    assert "--hand" in of_cameras
+    assert "--initialiser" not in of_cameras
+    assert max(map(len, text.splitlines())) <= 80
+
+
+@pytest.mark.parametrize(
+    ("words", "names"),
+    [
+        ("generate wire-chaser-m", ["wire-chaser-mini"]),
+        ("run --tracker hybr", ["hybrid"]),
+        ("run --suite fil", ["filters"]),
+        ("run --filter kal", ["kalman"]),
+        ("run --masks colour", ["colour-edge"]),
+        ("reproduce tele", ["teleoperation"]),
+        ("check tracker gaz", ["gaze"]),
+    ],
+)
+def test_the_shell_completes_names(
+    words: str, names: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("_SURGBENCH_COMPLETE", "complete_bash")
+    monkeypatch.setenv("COMP_WORDS", f"surgbench {words}")
+    monkeypatch.setenv("COMP_CWORD", str(len(words.split())))
+    run_main()
+    assert capsys.readouterr().out.split() == names
+
+
+def run_main(*arguments: str) -> None:
+    """The command in this process, whatever its exit code."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "argv", ["surgbench", *arguments])
+        with pytest.raises(SystemExit):
+            main()
 
 
 def all_commands(group: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:

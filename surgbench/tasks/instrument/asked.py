@@ -39,11 +39,20 @@ class InstrumentRow(RowRequest):
 
     initialiser: Annotated[
         str | None,
-        Field(description="NAME: default: truth where there is any, else random."),
+        Field(
+            description="NAME: default: truth where there is any, else random.",
+            json_schema_extra={"plugins": "initialiser"},
+        ),
     ] = None
-    filter: Annotated[str, Field(description="NAME: default: kalman.")] = "kalman"
+    filter: Annotated[str, Field(description="NAME: default: kalman.", json_schema_extra={"plugins": "filter"})] = (
+        "kalman"
+    )
     keypoints: Annotated[
-        str | None, Field(description="NAME: keypoint source; default: resnet18, with joint readings observed.")
+        str | None,
+        Field(
+            description="NAME: keypoint source; default: resnet18, with joint readings observed.",
+            json_schema_extra={"plugins": "keypoints"},
+        ),
     ] = None
     readings: Annotated[Readings, Field(description="Which joint readings trackers are given.")] = "none"
     view: Annotated[
@@ -53,7 +62,8 @@ class InstrumentRow(RowRequest):
         str,
         Field(
             description="NAME: mask source, which makes masks of images; or union, instances: of two arms the "
-            "dataset's mask of both alone, or one of each besides; default: auto, what is there."
+            "dataset's mask of both alone, or one of each besides; default: auto, what is there.",
+            json_schema_extra={"plugins": "mask_source"},
         ),
     ] = "auto"
     prompts: Annotated[
