@@ -16,7 +16,10 @@ WHAT, MUCH, HOW, WORK = "What is run", "How much of it", "Under which conditions
 
 def run(
     asked: dict[str, Any],
-    dataset: Annotated[Path, typer.Option(metavar="DIR", help="A dataset's folder.", rich_help_panel=WHAT)],
+    dataset: Annotated[
+        list[Path] | None,
+        typer.Option(metavar="DIR", help="A dataset's folder; may be repeated.", rich_help_panel=WHAT),
+    ] = None,
     tracker: Annotated[
         list[str] | None,
         typer.Option(
@@ -105,6 +108,7 @@ def run(
     something for is skipped and recorded with the reason.
     """
     from surgbench.dataset.open import open_dataset
+    from surgbench.errors import ConfigError
     from surgbench.suite.plan import complete_all
     from surgbench.suite.plan import jobs as plan_jobs
     from surgbench.suite.run import check_output
@@ -115,10 +119,20 @@ def run(
     base = None if suite is None else load_suite(suite)
     suite_ = from_command_line(base, tracker or [], row, conditions)
     overrides = parse_sets(set_ or [])
-    data = open_dataset(dataset)
+    places = dataset or ([] if base is None else list(base.datasets))
+    if not places:
+        raise ConfigError("say on what: --dataset DIR (made by: surgbench generate), or 'datasets' in the suite's file")
     check_output(out)
-    planned = [job for one in complete_all(suite_.rows, suite_, data, overrides) for job in plan_jobs(one, data)]
-    carry_out(planned, data, out, jobs=jobs, retry_failed=retry_failed, again=again, dry_run=dry_run)
+    planned = []
+    for data in map(open_dataset, places):  # all of it, before anything is run
+        rows = complete_all(suite_.rows, suite_, data, overrides)
+        planned.append((data, [job for one in rows for job in plan_jobs(one, data)]))
+    sound = [
+        carry_out(jobs_, data, out, jobs=jobs, retry_failed=retry_failed, again=again, dry_run=dry_run)
+        for data, jobs_ in planned
+    ]
+    if not any(sound):
+        raise typer.Exit(1)
 
 
 def _shorthand(asked: dict[str, Any], joints: bool, no_joints: bool) -> dict[str, Any]:

@@ -160,7 +160,8 @@ def _score(
     with hub.handing_out():
         planned = [job for one in complete_all(suite.rows, suite, data, {}) for job in plan_jobs(one, data)]
         try:
-            carry_out(planned, data, out, again=again, begins=under_way.append)
+            if not carry_out(planned, data, out, again=again, begins=under_way.append):
+                raise typer.Exit(1)
         finally:
             hub.bye()
     if hub.missing is not None:

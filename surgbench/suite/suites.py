@@ -2,20 +2,34 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
 from functools import cache
+from itertools import product
+from pathlib import Path
 from typing import Annotated, Any
 
 from pydantic import Field, create_model
 
 from surgbench.config import locate, parse_model, parse_value, read_yaml
+from surgbench.dataset.manifest import dataset_name
 from surgbench.errors import ConfigError
+from surgbench.registry import find
 from surgbench.suite.asked import Conditions, RowRequest
 from surgbench.suite.plan import any_row
 
+# Key of a row in a suite file: options, each with the values that it takes one after the other.
+GRID = "grid"
+
 
 class Suite(Conditions):
-    """A suite file: rows and what they share."""
+    """A suite file: rows, what they share, and the datasets that they are run on unless the command line says others.
 
+    Attributes:
+        rows: What is run.
+        datasets: Folders; in a file, relative to it.
+    """
+
+    datasets: tuple[Path, ...] = ()
     rows: Annotated[tuple[RowRequest, ...], Field(min_length=1)]
 
 
@@ -35,7 +49,39 @@ def load_suite(reference: str) -> Suite:
         ConfigError: An unknown key or a wrong value; one line.
     """
     path = locate("suites", "suite", reference)
-    return parse_model(_suite(), read_yaml(path, "suite"), str(path))
+    content = read_yaml(path, "suite")
+    rows = content.get("rows")
+    if isinstance(rows, list):
+        content["rows"] = [one for row in rows for one in _spread(row, str(path))]
+    suite = parse_model(_suite(), content, str(path))
+    return suite.model_copy(update={"datasets": tuple(path.parent / place for place in suite.datasets)})
+
+
+def _spread(row: Any, source: str) -> list[Any]:
+    """A row of a suite file as many times as its ``grid`` has combinations of values, each named by them.
+
+    Raises:
+        ConfigError: The grid does not map options to lists of values; one line.
+    """
+    if not isinstance(row, dict) or GRID not in row:
+        return [row]
+    grid, rest = row[GRID], {key: value for key, value in row.items() if key != GRID}
+    if not isinstance(grid, dict) or not grid or not all(isinstance(one, list) and one for one in grid.values()):
+        raise ConfigError(f"{source}: 'grid' maps options to lists of values, as {{cmaes.population: [50, 70, 100]}}")
+    tracker = str(row.get("tracker", ""))
+    rows = []
+    for values in product(*grid.values()):
+        options: dict[str, Any] = deepcopy(rest.get("options") or {})
+        name = str(rest.get("row_id") or find("tracker", tracker).name)
+        for key, value in zip(grid, values, strict=True):
+            plug, *path = str(key).split(".") if "." in str(key) else (find("tracker", tracker).name, str(key))
+            here = options.setdefault(plug, {})
+            for part in path[:-1]:
+                here = here.setdefault(part, {})
+            here[path[-1]] = value
+            name += f"-{path[-1]}-{value}"
+        rows.append({**rest, "options": options, "row_id": dataset_name(name)})
+    return rows
 
 
 def from_command_line(
@@ -60,7 +106,7 @@ def from_command_line(
         rows = [{"tracker": tracker, **given} for tracker in trackers]
     else:
         rows = [{**one.model_dump(mode="json"), **given} for one in base.rows]
-        kept = base.model_dump(mode="json", exclude={"rows"})
+        kept = base.model_dump(mode="json", exclude={"rows", "datasets"})
     changed = {key: value for key, value in conditions.items() if value is not None}
     return parse_model(_suite(), {"rows": rows, **kept, **changed}, "command line")
 
