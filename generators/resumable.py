@@ -209,12 +209,14 @@ def in_workers(
 
     Raises:
         BrokenProcessPool: A worker was killed.
+        Exception: What ``start`` or ``do`` raised.
     """
     jobs = max(1, jobs)
     context = get_context("spawn")
     # Without a lock, which a killed worker could take along.
     stop = context.RawValue(ctypes.c_bool, False)
-    with ProcessPoolExecutor(jobs, mp_context=context, initializer=start, initargs=(*arguments, stop)) as pool:
+    prepare = (start, *arguments, stop)
+    with ProcessPoolExecutor(jobs, mp_context=context, initializer=_prepare, initargs=prepare) as pool:
         waiting: set[Future[int]] = set()
         try:
             for task in tasks:
@@ -223,13 +225,31 @@ def in_workers(
                     waiting = _collect(waiting, progress)
                 # Workers start in here, and keep the block.
                 with without_ctrl_c():
-                    waiting.add(pool.submit(do, task))
+                    waiting.add(pool.submit(_work, do, task))
             while waiting:
                 waiting = _collect(waiting, progress)
         except BaseException:
             stop.value = True
             pool.shutdown(wait=True, cancel_futures=True)
             raise
+
+
+# What kept this worker from being prepared: told with its first task, for a pool that breaks says nothing of it.
+_unprepared: Exception | None = None
+
+
+def _prepare(start: Callable[..., None], *arguments: Any) -> None:
+    global _unprepared
+    try:
+        start(*arguments)
+    except Exception as error:
+        _unprepared = error
+
+
+def _work(do: Callable[[Any], int], task: Any) -> int:
+    if _unprepared is not None:
+        raise _unprepared
+    return do(task)
 
 
 def _collect(waiting: set[Future[int]], progress: Callable[[float], None]) -> set[Future[int]]:

@@ -19,6 +19,7 @@ from surgbench.config import locate, packaged_names, read_yaml
 from surgbench.contract import Mask
 from surgbench.dataset import writer
 from surgbench.dataset.open import open_as
+from surgbench.dataset.storage import check_new
 from surgbench.dataset.validate import validate
 from surgbench.errors import ConfigError, DatasetError, NotFoundError, SurgbenchError
 from surgbench.files import write_atomic
@@ -790,3 +791,11 @@ def test_a_part_has_the_same_files_as_the_whole(made: Path, tmp_path: Path) -> N
 def test_a_part_of_something_else_is_refused() -> None:
     with pytest.raises(ConfigError, match="unknown sequence '002'; did you mean '00"):
         plan_dataset(FEW, Part(("002",), 2))
+
+
+@pytest.mark.slow
+def test_what_keeps_a_worker_from_beginning_is_told(tmp_path: Path) -> None:
+    """As where Mitsuba lacks a system library: nothing was killed, and memory is not to blame."""
+    (tmp_path / "something").touch()
+    with pytest.raises(DatasetError, match="holds something already"):
+        resumable.in_workers([1, 2], abs, 2, check_new, (tmp_path,), lambda done: None)
