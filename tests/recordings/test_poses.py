@@ -235,7 +235,5 @@ def test_the_longest_gap_hangs_on_how_often_there_is_a_pose() -> None:
 
 def test_a_stray_time_does_not_fill_the_memory() -> None:
     times = np.array([0.0, 0.01, 0.02, 1.7e9])
-    with pytest.raises(
-        SurgbenchError, match=r"a trial has 2 to 1,000,000 \(.* is 1.7e\+09 s, after line 2"
-    ):
+    with pytest.raises(SurgbenchError, match=r"a trial has 2 to 1,000,000 \(.* is 1.7e\+09 s, after line 2"):
         resample(recorded(times, turning(times, np.zeros(3), np.zeros(3))), 0.0126, 0.1)
