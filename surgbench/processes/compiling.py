@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-# Called without arguments whenever the compilation of a function begins, in whatever thread that happens.
+# Called without arguments whenever the compilation of a function begins or is done, in whatever thread that happens.
 LISTENERS: list[Callable[[], None]] = []
 
 

@@ -63,22 +63,18 @@ def _spread(row: Any, source: str) -> list[Any]:
     Raises:
         ConfigError: The grid does not map options to lists of values; one line.
     """
-    if not isinstance(row, dict) or GRID not in row:
-        return [row]
+    if not isinstance(row, dict) or GRID not in row or not isinstance(row.get("options") or {}, dict):
+        return [row]  # the suite's model says what is wrong with it
     grid, rest = row[GRID], {key: value for key, value in row.items() if key != GRID}
     if not isinstance(grid, dict) or not grid or not all(isinstance(one, list) and one for one in grid.values()):
         raise ConfigError(f"{source}: 'grid' maps options to lists of values, as {{cmaes.population: [50, 70, 100]}}")
-    tracker = str(row.get("tracker", ""))
+    tracker = find("tracker", str(row.get("tracker", ""))).name
     rows = []
     for values in product(*grid.values()):
-        options: dict[str, Any] = deepcopy(rest.get("options") or {})
-        name = str(rest.get("row_id") or find("tracker", tracker).name)
+        options, name = deepcopy(rest.get("options") or {}), str(rest.get("row_id") or tracker)
         for key, value in zip(grid, values, strict=True):
-            plug, *path = str(key).split(".") if "." in str(key) else (find("tracker", tracker).name, str(key))
-            here = options.setdefault(plug, {})
-            for part in path[:-1]:
-                here = here.setdefault(part, {})
-            here[path[-1]] = value
+            plug, *path = str(key).split(".") if "." in str(key) else (tracker, str(key))
+            _put(options, [plug, *path], value, f"{source}: 'grid': {key}")
             name += f"-{path[-1]}-{value}"
         rows.append({**rest, "options": options, "row_id": dataset_name(name)})
     return rows
@@ -127,10 +123,19 @@ def parse_sets(sets: list[str]) -> dict[str, dict[str, Any]]:
             parsed = parse_value(value)
         except ValueError:
             raise ConfigError(f"--set {text}: '{value}' is not a value") from None
-        here = options.setdefault(name, {})
-        for part in path[:-1]:
-            here = here.setdefault(part, {})
-            if not isinstance(here, dict):
-                raise ConfigError(f"--set {text}: '{part}' is set to a value already")
-        here[path[-1]] = parsed
+        _put(options, [name, *path], parsed, f"--set {text}")
     return options
+
+
+def _put(options: dict[str, Any], path: list[str], value: Any, source: str) -> None:
+    """Set a value within dictionaries within dictionaries.
+
+    Raises:
+        ConfigError: One of them is a value; ``source`` says who asks.
+    """
+    here = options
+    for part in path[:-1]:
+        here = here.setdefault(part, {})
+        if not isinstance(here, dict):
+            raise ConfigError(f"{source}: '{part}' is set to a value already")
+    here[path[-1]] = value

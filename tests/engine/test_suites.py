@@ -46,6 +46,14 @@ def test_a_grid_without_values_is_one_line(grid: object, tmp_path: Path) -> None
         load_suite(str(put(tmp_path, rows=[{"tracker": "cmaes", "grid": grid}])))
 
 
+def test_a_grid_within_a_value_is_one_line(tmp_path: Path) -> None:
+    row = {"tracker": "cmaes", "options": {"cmaes": {"loss": 3}}, "grid": {"cmaes.loss.keypoints": [0.0]}}
+    with pytest.raises(ConfigError, match=r"'grid': cmaes\.loss\.keypoints: 'loss' is set to a value already"):
+        load_suite(str(put(tmp_path, rows=[row])))
+    with pytest.raises(ConfigError, match="options"):
+        load_suite(str(put(tmp_path, rows=[{**row, "options": 3}])))
+
+
 def test_a_grid_of_an_unknown_tracker_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(NotFoundError, match="did you mean 'cmaes'"):
         load_suite(str(put(tmp_path, rows=[{"tracker": "cmase", "grid": {"population": [50]}}])))
