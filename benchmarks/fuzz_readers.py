@@ -11,6 +11,7 @@ or more than the stated memory ends the reader's row, and the file is kept.
 from __future__ import annotations
 
 import argparse
+import os
 import re
 import subprocess
 import sys
@@ -38,7 +39,7 @@ def main() -> None:
     print("| reader | files | memory (MiB) | time (s) | what came of it |")
     print("|---|---:|---:|---:|---|")
     for name in options.readers or READERS:
-        with tempfile.TemporaryDirectory() as folder:
+        with tempfile.TemporaryDirectory() as folder, tempfile.TemporaryDirectory() as scratch:
             (Path(folder) / "sound").write_bytes(samples()[name])
             options.keep.mkdir(exist_ok=True)
             begun = time.monotonic()
@@ -48,6 +49,7 @@ def main() -> None:
                     *(f"-max_len={LARGEST_BYTES}", f"-timeout={LONGEST_S}", f"-rss_limit_mb={MOST_MIB}", "-seed=1"),
                     f"-artifact_prefix={options.keep / name}-",
                 ],
+                env={**os.environ, "TMPDIR": scratch},
                 capture_output=True,
                 text=True,
                 check=False,
