@@ -73,7 +73,7 @@ $(SETUP): pyproject.toml constraints.txt tools/system-libraries.sh
 
 $(EXTRAS): $(SETUP)
 	sh tools/system-libraries.sh meshes
-	PYTHONWARNINGS=ignore $(PIP) -e '.[dev,turbo,meshes,plots,onnx,video,readers,sam2,control,bags,gym]'
+	PYTHONWARNINGS=ignore $(PIP) -e '.[dev,turbo,meshes,plots,onnx,video,readers,sam2,control,bags,gym,cluster]'
 	touch $@
 
 clean:

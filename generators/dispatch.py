@@ -14,7 +14,7 @@ from typing import Any
 from surgbench.config import locate, read_yaml
 from surgbench.dataset.manifest import Manifest
 from surgbench.errors import ConfigError, SurgbenchError
-from surgbench.generation import GenerationPlan, GenerationRequest
+from surgbench.generation import GenerationPlan, GenerationRequest, Workers
 from surgbench.registry import Found, create, default_task_name, discover, find
 from surgbench.task import find_task
 
@@ -98,9 +98,9 @@ class ToldPlan:
         """Effective configuration, with what is told."""
         return {**self.plan.marker, **self.told}
 
-    def write(self, out: Path, jobs: int, progress: Callable[[float], None]) -> Manifest:
+    def write(self, out: Path, workers: Workers, progress: Callable[[float], None]) -> Manifest:
         """Write everything but the manifest."""
-        manifest = self.plan.write(out, jobs, progress)
+        manifest = self.plan.write(out, workers, progress)
         return manifest.model_copy(update={"configuration": {**manifest.configuration, **self.told}})
 
 

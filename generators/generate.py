@@ -18,6 +18,7 @@ from surgbench.dataset import tables
 from surgbench.dataset.manifest import FORMAT, observations_path
 from surgbench.dataset.writer import DatasetWriter, collect, read_part
 from surgbench.errors import ConfigError, unknown_name
+from surgbench.generation import Workers
 from surgbench.generators.auxiliary import AUXILIARY_CAMERA, camera_of
 from surgbench.generators.frames import KINDS, VISIBLE_KINDS, Chunk, FrameWriter, chunk_part
 from surgbench.generators.looks.look import encode_look
@@ -30,9 +31,8 @@ from surgbench.generators.resumable import (
     LISTED_BYTES_PER_FILE,
     blocks,
     configuration,
-    ctrl_c_raises,
     generate,
-    in_workers,
+    in_this_process,
 )
 from surgbench.generators.sequence import SequenceTables, ToldApart, make_tables
 from surgbench.geometry import FloatArray
@@ -161,10 +161,10 @@ class Plan:
         files = len(self.paths)
         return int(self.frames * (mask + numbers) + blocks(files * LISTED_BYTES_PER_FILE))
 
-    def write(self, out: Path, jobs: int, progress: Callable[[float], None]) -> InstrumentManifest:
-        """Write everything but the manifest; see :class:`surgbench.generators.resumable.Job`."""
+    def write(self, out: Path, workers: Workers, progress: Callable[[float], None]) -> InstrumentManifest:
+        """Write everything but the manifest; see :class:`surgbench.generation.GenerationPlan`."""
         DatasetWriter(out, INSTRUMENTS).write(self.instrument.name, self.instrument_files)
-        sequences, rest = _render_all(self, out, jobs, progress)
+        sequences, rest = _render_all(self, out, workers, progress)
         for entry in sequences:
             if entry.visibility:
                 _write_visibility(out, entry, rest[entry.id])
@@ -264,7 +264,7 @@ def _of_part(sequences: tuple[SequenceEntry, ...], part: Part) -> tuple[Sequence
 
 
 def _render_all(
-    plan: Plan, out: Path, jobs: int, progress: Callable[[float], None]
+    plan: Plan, out: Path, workers: Workers, progress: Callable[[float], None]
 ) -> tuple[list[SequenceEntry], dict[str, ToldApart]]:
     """Write everything but the manifest and how much is visible; what is there whole stays.
 
@@ -273,12 +273,13 @@ def _render_all(
     """
     finished: list[SequenceEntry] = []
     apart: dict[str, ToldApart] = {}
-    if jobs <= 1 and ctrl_c_raises():
+    if in_this_process(workers):
         worker = _frame_writer(plan, out, threads=None)
         for chunk in _chunks(plan, out, finished, apart):
             worker.render(chunk, progress)
     else:
-        in_workers(_chunks(plan, out, finished, apart), _render_chunk, jobs, _start_worker, (plan, out), progress)
+        chunks = _chunks(plan, out, finished, apart)
+        workers.do(chunks, _render_chunk, _start_worker, (plan, out), progress)
     return finished, apart
 
 

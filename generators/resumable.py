@@ -6,15 +6,12 @@ again what its ledgers do not name, or the disk does not hold as they say.
 
 from __future__ import annotations
 
-import ctypes
 import json
 import shutil
 import signal
 import threading
-from collections.abc import Callable, Iterable
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from collections.abc import Callable
 from concurrent.futures.process import BrokenProcessPool
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -24,10 +21,10 @@ from surgbench.dataset.storage import storage_error
 from surgbench.dataset.writer import SCRATCH_NAME, remove_ledgers
 from surgbench.errors import ConfigError, DatasetError, SurgbenchError
 from surgbench.files import PARTIAL_SUFFIX, write_atomic
-from surgbench.generation import GenerationPlan
+from surgbench.generation import GenerationPlan, Workers
 from surgbench.leftovers import without_leftovers
 from surgbench.locks import sole_writer
-from surgbench.processes.interruption import without_ctrl_c
+from surgbench.processes.pool import ProcessPool
 
 # A file takes at least a block of the disk.
 BLOCK_BYTES = 4096
@@ -39,7 +36,7 @@ def generate(
     plan: GenerationPlan,
     out: Path,
     *,
-    jobs: int = 1,
+    workers: Workers | None = None,
     say: Callable[[str], None] = lambda line: None,
     progress: Callable[[float], None] = lambda frames: None,
 ) -> bool:
@@ -48,7 +45,7 @@ def generate(
     Args:
         plan: What to make.
         out: The dataset's folder: new, empty, or one where the same generation was interrupted.
-        jobs: Worker processes. The bytes do not depend on it.
+        workers: Who does the work; ``None`` for this process alone. The bytes do not depend on it.
         say: Takes a line about what is going to be done.
         progress: Takes the number of frames just done.
 
@@ -72,7 +69,7 @@ def generate(
             _remove_partial(out)
             write_atomic(out / MARKER_NAME, json.dumps(plan.marker, sort_keys=True, indent=1).encode())
             say(planned)  # not before something could be written there
-            manifest = plan.write(out, jobs, progress)
+            manifest = plan.write(out, workers or ProcessPool(), progress)
             _remove_partial(out)
             write_atomic(out / MANIFEST_NAME, manifest.to_bytes())
             _remove_marker(out)
@@ -179,81 +176,12 @@ def _remove_partial(out: Path) -> None:
         path.unlink(missing_ok=True)
 
 
-def ctrl_c_raises() -> bool:
-    """Whether Ctrl-C ends this thread's work with an exception; only then may it render.
+def in_this_process(workers: Workers) -> bool:
+    """Whether the work may be done here: one thing at a time, and Ctrl-C ends it with an exception.
 
     Mitsuba catches the signal too, and hands back an unfinished image as if it were whole.
     """
+    if workers.elsewhere or workers.jobs > 1:
+        return False
     ignored = signal.getsignal(signal.SIGINT) is signal.SIG_IGN
     return threading.current_thread() is threading.main_thread() and not ignored
-
-
-def in_workers(
-    tasks: Iterable[Any],
-    do: Callable[[Any], int],
-    jobs: int,
-    start: Callable[..., None],
-    arguments: tuple[Any, ...],
-    progress: Callable[[float], None],
-) -> None:
-    """Do tasks in worker processes.
-
-    Args:
-        tasks: In order; few are drawn ahead of the work.
-        do: Does one, in a worker; returns what ``progress`` is to take.
-        jobs: Worker processes.
-        start: Prepares a worker: takes ``arguments`` and a shared ``ctypes.c_bool``; once that is true, no new work is
-            to begin.
-        arguments: For ``start``.
-        progress: Takes how much was just done.
-
-    Raises:
-        BrokenProcessPool: A worker was killed.
-        Exception: What ``start`` or ``do`` raised.
-    """
-    jobs = max(1, jobs)
-    context = get_context("spawn")
-    # Without a lock, which a killed worker could take along.
-    stop = context.RawValue(ctypes.c_bool, False)
-    prepare = (start, *arguments, stop)
-    with ProcessPoolExecutor(jobs, mp_context=context, initializer=_prepare, initargs=prepare) as pool:
-        waiting: set[Future[int]] = set()
-        try:
-            for task in tasks:
-                # Few at a time, so that the states of a long dataset are not all held at once.
-                while len(waiting) >= 2 * jobs:
-                    waiting = _collect(waiting, progress)
-                # Workers start in here, and keep the block.
-                with without_ctrl_c():
-                    waiting.add(pool.submit(_work, do, task))
-            while waiting:
-                waiting = _collect(waiting, progress)
-        except BaseException:
-            stop.value = True
-            pool.shutdown(wait=True, cancel_futures=True)
-            raise
-
-
-# What kept this worker from being prepared: told with its first task, for a pool that breaks says nothing of it.
-_unprepared: Exception | None = None
-
-
-def _prepare(start: Callable[..., None], *arguments: Any) -> None:
-    global _unprepared
-    try:
-        start(*arguments)
-    except Exception as error:
-        _unprepared = error
-
-
-def _work(do: Callable[[Any], int], task: Any) -> int:
-    if _unprepared is not None:
-        raise _unprepared
-    return do(task)
-
-
-def _collect(waiting: set[Future[int]], progress: Callable[[float], None]) -> set[Future[int]]:
-    done, rest = wait(waiting, return_when=FIRST_COMPLETED)
-    for future in done:
-        progress(future.result())
-    return rest

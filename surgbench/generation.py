@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
@@ -34,6 +34,41 @@ class GenerationRequest:
     corruption: str | None = None
     part: tuple[tuple[str, ...], int] | None = None
     set: Mapping[str, Any] = field(default_factory=dict)
+
+
+class Workers(Protocol):
+    """Who does the work of a generation: processes of this machine, or of a cluster's.
+
+    Attributes:
+        jobs: How many tasks are done at a time.
+        elsewhere: They are done on other machines.
+    """
+
+    @property
+    def jobs(self) -> int: ...  # noqa: D102
+
+    @property
+    def elsewhere(self) -> bool: ...  # noqa: D102
+
+    def do(
+        self,
+        tasks: Iterable[Any],
+        do: Callable[[Any], int],
+        start: Callable[..., None],
+        arguments: tuple[Any, ...],
+        progress: Callable[[float], None],
+    ) -> None:
+        """Do tasks. All that is handed over is pickled; files are where they are here.
+
+        Args:
+            tasks: In order; few are drawn ahead of the work.
+            do: Does one, in a worker; returns what ``progress`` is to take.
+            start: Prepares a worker: takes ``arguments`` and a shared ``ctypes.c_bool``; once that is true, no new work
+                is to begin.
+            arguments: For ``start``.
+            progress: Takes how much was just done.
+        """
+        ...
 
 
 class GenerationPlan(Protocol):
@@ -69,14 +104,14 @@ class GenerationPlan(Protocol):
         """Disk that the whole dataset takes, an upper estimate."""
         ...
 
-    def write(self, out: Path, jobs: int, progress: Callable[[float], None]) -> Manifest:
+    def write(self, out: Path, workers: Workers, progress: Callable[[float], None]) -> Manifest:
         """Write everything but the manifest into the folder; what is there whole stays.
 
         :class:`surgbench.dataset.writer.DatasetWriter` knows what is, and what the manifest is to say of the files.
 
         Args:
             out: The folder.
-            jobs: Worker processes.
+            workers: Do what can be done at a time.
             progress: Takes the number of frames or samples just done.
         """
         ...

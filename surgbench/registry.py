@@ -193,6 +193,12 @@ def find(kind: str, reference: str) -> Found:
     return found
 
 
+def absolute(reference: str) -> str:
+    """The same reference as seen from any folder: files with their whole paths, names as they are."""
+    path_text, colon, class_name = reference.rpartition(":")
+    return f"{Path(path_text).resolve()}:{class_name}" if colon and path_text.endswith(".py") else reference
+
+
 def configure(found: Found, options: dict[str, Any]) -> BaseModel | None:
     """Check options against the plug-in's ``Config`` and fill in defaults.
 

@@ -15,12 +15,12 @@ from typing import Any
 
 from surgbench.dataset.manifest import FORMAT, observations_path
 from surgbench.dataset.writer import DatasetWriter, collect, read_part
+from surgbench.generation import Workers
 from surgbench.generators.resumable import (
     LISTED_BYTES_PER_FILE,
     blocks,
     configuration,
-    ctrl_c_raises,
-    in_workers,
+    in_this_process,
 )
 from surgbench.generators.wire_chaser.presets import WireChaser
 from surgbench.generators.wire_chaser.trial import StoppedError, draw_samples, make_trial
@@ -89,15 +89,15 @@ class WirePlan:
         size = self.frames * BYTES_PER_SAMPLE + len(self.samples) * BYTES_PER_TRIAL
         return int(blocks(size) + blocks(len(self.paths) * LISTED_BYTES_PER_FILE))
 
-    def write(self, out: Path, jobs: int, progress: Callable[[float], None]) -> ViewpointManifest:
+    def write(self, out: Path, workers: Workers, progress: Callable[[float], None]) -> ViewpointManifest:
         """Write everything but the manifest; what is there whole stays."""
         tasks = list(self.samples)
-        if jobs <= 1 and ctrl_c_raises():
+        if in_this_process(workers):
             worker = _Worker(self.preset, out)
             for trial_id in tasks:
                 progress(worker.write(trial_id))
         else:
-            in_workers(tasks, _write_trial, min(jobs, len(tasks)), _start_worker, (self.preset, out), progress)
+            workers.do(tasks, _write_trial, _start_worker, (self.preset, out), progress)
         files = collect(out, tasks, self.paths)
         trials = [TrialEntry.model_validate(read_part(out, trial_id)[TRIAL].about) for trial_id in tasks]
         return ViewpointManifest(

@@ -11,6 +11,7 @@ from surgbench.cli.progress import progress
 
 if TYPE_CHECKING:
     from surgbench.dataset.base import Dataset
+    from surgbench.suite.perform import Workplace
     from surgbench.suite.running import Run
     from surgbench.suite.settings import Job
 
@@ -20,7 +21,7 @@ def carry_out(
     dataset: Dataset[Any],
     out: Path,
     *,
-    jobs: int = 1,
+    where: Workplace | None = None,
     retry_failed: bool = True,
     again: bool = False,
     dry_run: bool = False,
@@ -32,7 +33,7 @@ def carry_out(
         planned: What is asked for.
         dataset: What all of it is about.
         out: Folder of records.
-        jobs: Runs at a time.
+        where: Where it is done; ``None`` for this machine, one run at a time.
         retry_failed: Failed runs are tried again.
         again: All are run again.
         dry_run: Say what would be run, and run nothing.
@@ -47,6 +48,7 @@ def carry_out(
     from surgbench.records.reader import read_records
     from surgbench.report.render import print_leaderboard
     from surgbench.report.rows import derive_rows, hints
+    from surgbench.suite.perform import ThisMachine
     from surgbench.suite.run import make_plan, probe_output
     from surgbench.suite.run import run as run_plan
     from surgbench.suite.running import Run
@@ -79,7 +81,7 @@ def carry_out(
         with progress("frames", plan.frames) as bar:
             under_way = Run(bar, bar.stage)
             begins(under_way)
-            elsewhere = run_plan(plan, dataset, out, jobs, under_way, finished)
+            elsewhere = run_plan(plan, dataset, out, where or ThisMachine(), under_way, finished)
         if elsewhere:
             print(f"{elsewhere} of these were made by another call at the same time", file=sys.stderr)
     for record in failures:

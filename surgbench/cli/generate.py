@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated
 
@@ -29,6 +30,12 @@ def generate(
     jobs: Annotated[
         int | None, typer.Option(min=1, help="Worker processes; all cores unless told. The bytes do not depend on it.")
     ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS", help="A Dask cluster does the work, whose machines see --out; --jobs is its limit then."
+        ),
+    ] = None,
     corruption: Annotated[
         str | None,
         typer.Option(metavar="published|strong|none", help="How the masks are corrupted, instead of the preset's."),
@@ -51,18 +58,27 @@ def generate(
 
     The same preset and seed give the same bytes. After an interruption the same command goes on where it stopped.
     """
-    from surgbench.generation import GenerationRequest, parse_settings
+    from surgbench.generation import GenerationRequest, Workers, parse_settings
     from surgbench.generators.dispatch import plan_preset
     from surgbench.generators.resumable import generate as make
+    from surgbench.processes.pool import ProcessPool
 
     plan = plan_preset(preset, GenerationRequest(sequences, frames, seed, corruption, set=parse_settings(set_ or [])))
-    workers = jobs or min(len(os.sched_getaffinity(0)), max(1, plan.frames // 20))
 
     def say(line: str) -> None:
         print(line, file=sys.stderr, flush=True)
 
-    with progress("frames", plan.frames) as advance:
-        made = make(plan, out, jobs=workers, say=say, progress=advance)
+    with ExitStack() as held:
+        workers: Workers
+        if scheduler is None:
+            workers = ProcessPool(jobs or min(len(os.sched_getaffinity(0)), max(1, plan.frames // 20)))
+        else:
+            from surgbench.cluster.connection import connect
+            from surgbench.cluster.tasks import ClusterWorkers
+
+            workers = ClusterWorkers(held.enter_context(connect(scheduler, say)), jobs)
+        advance = held.enter_context(progress("frames", plan.frames))
+        made = make(plan, out if scheduler is None else out.absolute(), workers=workers, say=say, progress=advance)
     if not made:
         say("complete already, nothing to do")
     print(out)

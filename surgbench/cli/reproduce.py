@@ -174,6 +174,7 @@ def _generate(request: DatasetRequest, part: PartRequest | None, out: Path, jobs
     from surgbench.generation import GenerationRequest
     from surgbench.generators.dispatch import plan_preset
     from surgbench.generators.resumable import generate
+    from surgbench.processes.pool import ProcessPool
 
     plan = plan_preset(
         request.preset,
@@ -188,7 +189,7 @@ def _generate(request: DatasetRequest, part: PartRequest | None, out: Path, jobs
     )
     try:
         with progress("frames made", plan.frames) as advance:
-            generate(plan, out, jobs=min(jobs, max(1, plan.frames // 20)), progress=advance)
+            generate(plan, out, workers=ProcessPool(min(jobs, max(1, plan.frames // 20))), progress=advance)
     except DatasetError as error:
         raise DatasetError(str(error).replace("--out", "--data")) from None
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -72,8 +74,21 @@ def run(
     ] = None,
     seed: Annotated[int | None, typer.Option(min=0, help="Default: 0.", rich_help_panel=HOW)] = None,
     jobs: Annotated[
-        int, typer.Option(min=1, help="Runs at a time. Use 1 where latencies matter.", rich_help_panel=WORK)
-    ] = 1,
+        int | None,
+        typer.Option(
+            min=1,
+            help="Runs at a time; default: 1, which is for latencies, or all that the cluster can.",
+            rich_help_panel=WORK,
+        ),
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS",
+            help="A Dask cluster does the work, whose machines see the datasets and trackers where they are here.",
+            rich_help_panel=WORK,
+        ),
+    ] = None,
     timeout: Annotated[
         float | None,
         typer.Option(metavar="S", help="Longest wait for one answer of a tracker; default: 120.", rich_help_panel=HOW),
@@ -109,6 +124,7 @@ def run(
     """
     from surgbench.dataset.open import open_dataset
     from surgbench.errors import ConfigError
+    from surgbench.suite.perform import ThisMachine, Workplace
     from surgbench.suite.plan import complete_all
     from surgbench.suite.plan import jobs as plan_jobs
     from surgbench.suite.run import check_output
@@ -127,12 +143,23 @@ def run(
     for data in map(open_dataset, places):  # all of it, before anything is run
         rows = complete_all(suite_.rows, suite_, data, overrides)
         planned.append((data, [job for one in rows for job in plan_jobs(one, data)]))
-    sound = [
-        carry_out(jobs_, data, out, jobs=jobs, retry_failed=retry_failed, again=again, dry_run=dry_run)
-        for data, jobs_ in planned
-    ]
+    with ExitStack() as held:
+        where: Workplace = ThisMachine(jobs or 1)
+        if scheduler is not None and not dry_run:
+            from surgbench.cluster.connection import connect
+            from surgbench.cluster.runs import ClusterRuns
+
+            where = ClusterRuns(held.enter_context(connect(scheduler, _say)), jobs)
+        sound = [
+            carry_out(jobs_, data, out, where=where, retry_failed=retry_failed, again=again, dry_run=dry_run)
+            for data, jobs_ in planned
+        ]
     if not any(sound):
         raise typer.Exit(1)
+
+
+def _say(line: str) -> None:
+    print(line, file=sys.stderr, flush=True)
 
 
 def _shorthand(asked: dict[str, Any], joints: bool, no_joints: bool) -> dict[str, Any]:

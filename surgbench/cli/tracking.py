@@ -15,6 +15,7 @@ from surgbench.exporting import export, read_material
 from surgbench.records.reader import read_records
 from surgbench.registry import create, find
 from surgbench.report.video_options import VideoOptions
+from surgbench.suite.perform import ThisMachine
 from surgbench.suite.plan import complete_all, jobs
 from surgbench.suite.run import make_plan, run
 from surgbench.suite.running import Run
@@ -91,7 +92,7 @@ class Tracking:
                 problems.append(f"{record['spec']['row_id']} {record['spec']['unit']}: {record['error']}")
 
         with progress("tracking frames", plan.frames) as bar:
-            run(plan, self._dataset, self._runs, 1, Run(bar, bar.stage), finished)
+            run(plan, self._dataset, self._runs, ThisMachine(), Run(bar, bar.stage), finished)
         if problems:
             raise SurgbenchError(problems[0])
 

@@ -14,6 +14,7 @@ from surgbench.dataset.open import open_dataset
 from surgbench.generation import GenerationPlan, GenerationRequest
 from surgbench.generators.dispatch import plan_preset
 from surgbench.generators.resumable import generate
+from surgbench.processes.pool import ProcessPool
 from surgbench.randomness import seed_from
 
 
@@ -88,7 +89,7 @@ def make_pictures(
             continue
         folders.append(folder / f"{part}-{name}")
         with progress(f"{part} {name}", plan.frames) as bar:
-            generate(plan, folders[-1], jobs=jobs, say=say, progress=bar)
+            generate(plan, folders[-1], workers=ProcessPool(jobs), say=say, progress=bar)
     return folders
 
 

@@ -53,13 +53,19 @@ class Child:
         module: What it runs.
         environment: What its environment has besides, or otherwise than, this process's.
         arguments: What the module is told besides.
+        folder: Its working directory; ``None``: this process's.
 
     Attributes:
         timeout_s: May be changed between messages.
     """
 
     def __init__(
-        self, timeout_s: float, module: str, environment: Mapping[str, str] = THREADS, arguments: tuple[str, ...] = ()
+        self,
+        timeout_s: float,
+        module: str,
+        environment: Mapping[str, str] = THREADS,
+        arguments: tuple[str, ...] = (),
+        folder: str | None = None,
     ) -> None:
         self.timeout_s = timeout_s
         self._connection, theirs = Pipe()
@@ -68,6 +74,7 @@ class Child:
             pass_fds=[theirs.fileno()],
             env={**os.environ, **environment},
             start_new_session=True,
+            cwd=folder,
         )
         self._ending = Lock()
         theirs.close()

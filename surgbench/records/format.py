@@ -85,6 +85,7 @@ class Record(Part):
         dataset_frames: Frames of all units of the dataset; ``None`` in records of old versions.
         floor: The filter knew the truth.
         calibration_ms: What the reference work took beside the run; ``None`` in records of old versions.
+        elapsed_s: From the run's beginning to its end; ``None`` in records of old versions.
         hint: One line on what is odd about the data, or what was made of them.
         whole: Errors that are not of single frames, but of all of them together.
         error_names: All errors that are written.
@@ -102,6 +103,7 @@ class Record(Part):
     dataset_frames: int | None = None
     floor: bool = False
     calibration_ms: Number = None
+    elapsed_s: Number = None
     hint: str | None = None
     frames: Frames
     errors: dict[str, FloatArray]

@@ -23,6 +23,7 @@ from surgbench.reproduce.fingerprint import head, largest_deviation
 from surgbench.reproduce.results import Results
 from surgbench.reproduce.table import Block, Definition, TableRow
 from surgbench.suite.environment import environment
+from surgbench.suite.perform import ThisMachine
 from surgbench.suite.plan import complete
 from surgbench.suite.plan import jobs as plan_jobs
 from surgbench.suite.run import make_plan
@@ -164,7 +165,7 @@ def _run_again(
     jobs = [_job(block, one, dataset) for one in chosen]
     plan = make_plan(jobs, out)
     with watcher.progress(block.heading, plan.frames) as bar:
-        run_plan(plan, dataset, out, workers, Run(bar, bar.stage), lambda record: None)
+        run_plan(plan, dataset, out, ThisMachine(workers), Run(bar, bar.stage), lambda record: None)
     verdicts = []
     for one, job in zip(chosen, jobs, strict=True):
         record = json.loads((out / job.path).read_text(encoding="utf-8"))

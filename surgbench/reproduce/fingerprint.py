@@ -13,7 +13,16 @@ from surgbench.records.seal import SEAL
 from surgbench.reproduce.sheet import Sheet
 
 # What differs from machine to machine, or from one run to the next, though the estimates are the same.
-_VOLATILE = ("environment", "dataset_path", "references", "initialise_s", "traceback", "calibration_ms", SEAL)
+_VOLATILE = (
+    "environment",
+    "dataset_path",
+    "references",
+    "initialise_s",
+    "elapsed_s",
+    "traceback",
+    "calibration_ms",
+    SEAL,
+)
 _VOLATILE_FRAMES = "latency_"
 
 

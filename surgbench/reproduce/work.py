@@ -13,6 +13,7 @@ from surgbench.reproduce.datasets import MakeDataset, PartRequest, Watcher, prov
 from surgbench.reproduce.results import RECORDS, TIMING, BlockWork, RowWork
 from surgbench.reproduce.table import Block, Definition, Table, Timing
 from surgbench.suite.asked import RowRequest
+from surgbench.suite.perform import ThisMachine
 from surgbench.suite.plan import complete
 from surgbench.suite.plan import jobs as plan_jobs
 from surgbench.suite.run import make_plan, probe_output
@@ -118,5 +119,5 @@ def _run(work: BlockWork, planned: list[Job], out: Path, workers: int, title: st
 
     watcher.say(f"{title}: {len(plan.todo)} runs, {plan.frames} frames; {plan.done} recorded already")
     with watcher.progress(title, plan.frames) as bar:
-        run_plan(plan, work.dataset, out, workers, Run(bar, bar.stage), finished)
+        run_plan(plan, work.dataset, out, ThisMachine(workers), Run(bar, bar.stage), finished)
     return failures

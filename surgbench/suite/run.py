@@ -22,16 +22,16 @@ from surgbench.records.format import FORMATS, SKIPPED
 from surgbench.records.reader import check_written
 from surgbench.records.seal import check_seal, sealed
 from surgbench.suite.claim import cannot_write, claim
-from surgbench.suite.environment import environment
 from surgbench.suite.head import head, skipped
-from surgbench.suite.plug import edited
+from surgbench.suite.perform import Workplace
 from surgbench.suite.running import Run
 from surgbench.suite.settings import Job
 from surgbench.syntax import parse_json
-from surgbench.task import find_task
 
 # Between two looks at what other calls are at.
 LOOK_AGAIN_S = 0.5
+# And at whether there is anybody to do the work.
+LOOK_FOR_WORKERS_S = 5.0
 
 
 class Stamp(NamedTuple):
@@ -166,7 +166,7 @@ def run(
     plan: Plan,
     dataset: Dataset[Any],
     out: Path,
-    workers: int,
+    where: Workplace,
     under_way: Run,
     finished: Callable[[dict[str, Any]], None],
 ) -> int:
@@ -179,7 +179,7 @@ def run(
         plan: From :func:`make_plan`.
         dataset: The dataset all jobs are about.
         out: Folder of records.
-        workers: Jobs at a time.
+        where: Where jobs are done, and how many at a time.
         under_way: Is told how far they are.
         finished: Called with every record once it is written.
 
@@ -190,23 +190,18 @@ def run(
         SurgbenchError: A record cannot be written, or could not be read again, or the dataset is at fault; runs in
             work are ended.
     """
-    task = find_task(dataset.task)
 
     def make(job: Job) -> dict[str, Any] | None:
         unavailable = job.settings.unavailable
-        part = under_way.part()
         if unavailable is not None:
             done = skipped(unavailable)
         else:
-            done = task.execute(job, dataset, part)
+            part = under_way.part()
+            done = where.perform(job, dataset, part)
             if under_way.stopping:
                 return None
             part.advance(job.frames - part.done)  # what a failed run never reached
-            change = edited(job.settings.plugs)
-            if change is not None:  # the record would be that of a text that nobody has run
-                done = {**done, "status": "failed", "error": change}
-        about = head(job, dataset, environment(job.settings.conditions.device))
-        record = sealed({**about, "calibration_ms": part.calibration_ms, **done})
+        record = sealed({**head(job, dataset), **done})
         check_written(record, out / job.path)
         _write(out / job.path, (canonical_json(record) + "\n").encode())
         return record
@@ -229,13 +224,25 @@ def run(
             under_way.stop()  # before this thread takes the next job
             raise
 
+    told: list[str] = []
+
+    def tell_of_missing() -> None:
+        missing = where.missing()
+        for words in told:
+            if words != missing:
+                under_way.stage(words, 1.0)
+        told[:] = [] if missing is None else [missing]
+        if missing is not None:
+            under_way.stage(missing, 0.0)
+
     elsewhere = 0
-    with ThreadPoolExecutor(max_workers=workers) as pool:
+    with ThreadPoolExecutor(max_workers=where.jobs) as pool:
         waiting: set[Future[_Outcome]] = {pool.submit(one, job) for job in plan.todo}
         left: list[Job] = []
         try:
             while waiting:
-                ended, waiting = wait(waiting, return_when=FIRST_COMPLETED)
+                ended, waiting = wait(waiting, timeout=LOOK_FOR_WORKERS_S, return_when=FIRST_COMPLETED)
+                tell_of_missing()
                 for future in ended:
                     outcome = future.result()
                     if outcome.record is None:
@@ -254,6 +261,7 @@ def run(
             for future in waiting:
                 future.cancel()
             under_way.kill()
+            where.stop()
             raise
     return elsewhere
 

@@ -17,6 +17,7 @@ class Run:
     Args:
         advance: Takes the frames done since.
         stage: Takes a description and a fraction while something that frames do not count goes on.
+        folder: Where child processes are to be, as files are named as seen from there; ``None``: where this one is.
 
     Attributes:
         done: Frames that have been done.
@@ -26,7 +27,9 @@ class Run:
         self,
         advance: Callable[[float], None] = lambda frames: None,
         stage: Callable[[str, float], None] = lambda description, fraction: None,
+        folder: str | None = None,
     ) -> None:
+        self._folder = folder
         self.stage = stage
         self.done = 0.0
         self._advance = advance
@@ -36,7 +39,7 @@ class Run:
 
     def part(self) -> Run:
         """The same run with a count of its own, for one job."""
-        part = Run(self.advance, self.stage)
+        part = Run(self.advance, self.stage, self._folder)
         part._stopping, part._children = self._stopping, self._children
         return part
 
@@ -88,7 +91,7 @@ class Run:
             ChildProblemError: The run is being ended.
         """
         self.check()
-        child = Child(timeout_s, module)
+        child = Child(timeout_s, module, folder=self._folder)
         self._children.add(child)
         try:
             self.check()  # it may have been ended while the process began

@@ -61,8 +61,8 @@ class FileScore:
             with claim(path) as ours:
                 if ours:  # else another call is at the same file
                     done = self._told[job.hash].measure(Run(advance))
-                    about = head(job, self._dataset, environment())
-                    record = sealed({**about, "calibration_ms": None, **done})
+                    about = {**head(job, self._dataset), "environment": environment(), "calibration_ms": None}
+                    record = sealed({**about, **done})
                     check_written(record, path)
                     try:
                         write_atomic(path, (canonical_json(record) + "\n").encode())

@@ -18,6 +18,7 @@ from surgbench.dataset.open import open_as
 from surgbench.generators.generate import generate, plan_dataset
 from surgbench.generators.presets import load_preset
 from surgbench.processes.child import Child, ChildProblemError
+from surgbench.processes.pool import ProcessPool
 from surgbench.suite.asked import Conditions
 from surgbench.suite.claim import claim
 from surgbench.suite.plan import complete, jobs
@@ -610,7 +611,7 @@ def test_a_damaged_dataset_ends_the_run_at_once(
 def test_the_papers_tracker_follows_the_mini_dataset(tmp_path: Path) -> None:
     """What `make demo` shows: mask error at most 0.10, rotation at most 0.30 rad, without readings."""
     folder = tmp_path / "mini"
-    generate(plan_dataset(load_preset("mini")), folder, jobs=2)
+    generate(plan_dataset(load_preset("mini")), folder, workers=ProcessPool(2))
     surgbench(*RUN, "--dataset", folder, "--tracker", "cmaes", "--jobs", "2", "--out", tmp_path / "runs")
     found = records(tmp_path / "runs")
     assert np.mean([record["errors"]["mask_error"] for record in found]) <= 0.10

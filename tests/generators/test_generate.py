@@ -41,6 +41,7 @@ from surgbench.generators.trajectories import make_pair
 from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument, load_instrument, save_instrument
 from surgbench.locks import sole_writer
+from surgbench.processes.pool import ProcessPool
 from surgbench.randomness import generator
 from surgbench.silhouette import SilhouetteEvaluator
 from surgbench.state import JOINTS, POSITION
@@ -445,8 +446,8 @@ def test_same_bytes_again_and_other_bytes_for_another_seed(made: Path, tmp_path:
 def test_two_jobs_write_what_one_writes(tmp_path: Path) -> None:
     preset = FEW.model_copy(update={"pairs": 1, "frames": 22, "camera": SMALL})
     done: list[float] = []
-    generate(plan_dataset(preset), tmp_path / "one", jobs=1)
-    generate(plan_dataset(preset), tmp_path / "two", jobs=2, progress=done.append)
+    generate(plan_dataset(preset), tmp_path / "one")
+    generate(plan_dataset(preset), tmp_path / "two", workers=ProcessPool(2), progress=done.append)
     assert contents(tmp_path / "one") == contents(tmp_path / "two")
     assert sum(done) == 22
 
@@ -798,4 +799,4 @@ def test_what_keeps_a_worker_from_beginning_is_told(tmp_path: Path) -> None:
     """As where Mitsuba lacks a system library: nothing was killed, and memory is not to blame."""
     (tmp_path / "something").touch()
     with pytest.raises(DatasetError, match="holds something already"):
-        resumable.in_workers([1, 2], abs, 2, check_new, (tmp_path,), lambda done: None)
+        ProcessPool(2).do([1, 2], abs, check_new, (tmp_path,), lambda done: None)

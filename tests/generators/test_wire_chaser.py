@@ -24,6 +24,7 @@ from surgbench.generators.wire_chaser.trial import make_trial, measure
 from surgbench.generators.wire_chaser.wire import WireShape, tool_axes
 from surgbench.generators.wire_chasers import load_wire_chaser
 from surgbench.geometry import FloatArray, inverse_transform, is_rigid, rotation_angle, rotation_vector
+from surgbench.processes.pool import ProcessPool
 from surgbench.randomness import generator
 from surgbench.tasks.viewpoint.dataset import ViewpointDataset
 from surgbench.viewpoint.camera_arm import CameraArm
@@ -366,7 +367,7 @@ def test_what_cannot_be_met_is_said_and_leaves_no_folder(tmp_path: Path) -> None
 def test_same_bytes_again_for_any_number_of_jobs_and_others_for_another_seed(tmp_path: Path) -> None:
     done: list[float] = []
     for name, jobs in (("one", 1), ("two", 2)):
-        assert generate(WirePlan(ANY), tmp_path / name, jobs=jobs, progress=done.append)
+        assert generate(WirePlan(ANY), tmp_path / name, workers=ProcessPool(jobs), progress=done.append)
     assert contents(tmp_path / "one") == contents(tmp_path / "two")
     assert sum(done) == 2 * 3 * 300
     assert validate(tmp_path / "one") == []

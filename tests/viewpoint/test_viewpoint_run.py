@@ -77,7 +77,7 @@ def test_a_record_holds_the_course_and_its_errors(dataset: Path, runs: Path) -> 
 def test_a_part_of_a_dataset_is_its_trials_alone_and_the_same(dataset: Path, tmp_path: Path) -> None:
     """What --quick and --check make: the second trial, without the first."""
     plan = plan_preset("wire-chaser-mini", GenerationRequest(sequences=2, frames=SAMPLES, part=(("001",), 100)))
-    generate(plan, tmp_path, jobs=1, progress=lambda frames: None)
+    generate(plan, tmp_path, progress=lambda frames: None)
     part, whole = open_dataset(tmp_path), open_dataset(dataset)
     assert [unit.sequence for unit in part.units()] == ["001"]
     assert part.manifest.configuration["part"] == ["001"]
@@ -93,7 +93,7 @@ def test_rules_bind_in_what_a_quick_run_shows(block: Block, tmp_path: Path) -> N
     """And in some samples none does, and in some the naive pose is out of reach or too near: no table is empty."""
     assert isinstance(block.dataset, DatasetRequest)
     plan = plan_preset(block.dataset.preset, GenerationRequest(part=(block.quick_sequences, QUICK.quick.frames)))
-    generate(plan, tmp_path, jobs=1, progress=lambda frames: None)
+    generate(plan, tmp_path, progress=lambda frames: None)
     data = open_dataset(tmp_path)
     assert isinstance(data, ViewpointDataset)
     trial = data.trial(block.quick_sequences[0])

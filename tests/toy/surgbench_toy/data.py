@@ -14,7 +14,7 @@ from surgbench.dataset import tables
 from surgbench.dataset.base import Dataset
 from surgbench.dataset.manifest import FORMAT, FileEntry, Manifest, observations_path
 from surgbench.dataset.writer import write_files
-from surgbench.generation import GenerationPlan, GenerationRequest
+from surgbench.generation import GenerationPlan, GenerationRequest, Workers
 from surgbench.geometry import FloatArray
 from surgbench.randomness import generator
 
@@ -112,7 +112,7 @@ class Plan:
         """One file each."""
         return [observations_path(id_) for id_ in self.ids]
 
-    def write(self, out: Path, jobs: int, progress: Callable[[float], None]) -> Manifest:
+    def write(self, out: Path, workers: Workers, progress: Callable[[float], None]) -> Manifest:
         """Draw and write."""
         files: dict[str, FileEntry] = {}
         for id_ in self.ids:

@@ -1,0 +1,1 @@
+"""Runs and generations on a Dask cluster whose machines see the same files."""
