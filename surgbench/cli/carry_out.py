@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from surgbench.cli.forecast import tell_forecast
 from surgbench.cli.progress import progress
 
 if TYPE_CHECKING:
@@ -36,7 +37,7 @@ def carry_out(
         where: Where it is done; ``None`` for this machine, one run at a time.
         retry_failed: Failed runs are tried again.
         again: All are run again.
-        dry_run: Say what would be run, and run nothing.
+        dry_run: Say what would be run, and what time and disk it takes, and run nothing.
         begins: Told of the run that begins, which it may stop.
 
     Returns:
@@ -69,6 +70,8 @@ def carry_out(
     if dry_run:
         for job in plan.todo:
             print(out / job.path)
+        if plan.frames:
+            tell_forecast(list(plan.todo), dataset, out, (where or ThisMachine()).jobs)
         return True
 
     failures: list[dict[str, Any]] = []

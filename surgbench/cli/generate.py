@@ -11,6 +11,7 @@ from typing import Annotated
 import typer
 
 from surgbench.cli.completion import files
+from surgbench.cli.forecast import duration
 from surgbench.cli.progress import progress
 
 
@@ -36,6 +37,9 @@ def generate(
             metavar="ADDRESS", help="A Dask cluster does the work, whose machines see --out; --jobs is its limit then."
         ),
     ] = None,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Say what would be made, and what time and disk it takes; make nothing.")
+    ] = False,
     corruption: Annotated[
         str | None,
         typer.Option(metavar="published|strong|none", help="How the masks are corrupted, instead of the preset's."),
@@ -65,13 +69,22 @@ def generate(
 
     plan = plan_preset(preset, GenerationRequest(sequences, frames, seed, corruption, set=parse_settings(set_ or [])))
 
+    most = jobs or min(len(os.sched_getaffinity(0)), max(1, plan.frames // 20))
+
     def say(line: str) -> None:
         print(line, file=sys.stderr, flush=True)
 
+    if dry_run:
+        from surgbench.generators.forecast import frame_seconds
+
+        seconds = frame_seconds(plan) * plan.frames / most
+        size = f"{plan.disk_bytes / 1e6:.0f} MB"
+        say(f"{plan.name}: {plan.counts}, about {size} and {duration(seconds)} with --jobs {most}")
+        return
     with ExitStack() as held:
         workers: Workers
         if scheduler is None:
-            workers = ProcessPool(jobs or min(len(os.sched_getaffinity(0)), max(1, plan.frames // 20)))
+            workers = ProcessPool(most)
         else:
             from surgbench.cluster.connection import connect
             from surgbench.cluster.tasks import ClusterWorkers

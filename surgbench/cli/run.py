@@ -108,7 +108,12 @@ def run(
         ),
     ] = False,
     dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Say what would be run, and run nothing.", rich_help_panel=WORK)
+        bool,
+        typer.Option(
+            "--dry-run",
+            help="Say what would be run, and what time and disk it takes; record nothing.",
+            rich_help_panel=WORK,
+        ),
     ] = False,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of records.", rich_help_panel=WORK)] = Path("runs"),
 ) -> None:

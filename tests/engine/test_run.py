@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -19,8 +20,10 @@ from surgbench.generators.generate import generate, plan_dataset
 from surgbench.generators.presets import load_preset
 from surgbench.processes.child import Child, ChildProblemError
 from surgbench.processes.pool import ProcessPool
+from surgbench.suite import forecast
 from surgbench.suite.asked import Conditions
 from surgbench.suite.claim import claim
+from surgbench.suite.forecast import by_row, forecasts, seconds_in_all
 from surgbench.suite.plan import complete, jobs
 from surgbench.tasks.instrument.asked import InstrumentRow
 from surgbench.tasks.instrument.dataset import InstrumentDataset
@@ -291,12 +294,37 @@ def test_lags_and_the_filters_time_are_recorded(dataset: Path, tmp_path: Path) -
             assert 0 < filter_ms < all_ms
 
 
-def test_dry_run_writes_nothing(dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    surgbench(*RUN, "--dataset", dataset, "--tracker", "cmaes", "--dry-run", "--out", tmp_path / "runs")
+@pytest.mark.slow
+def test_dry_run_tells_time_and_disk_and_writes_nothing(
+    dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ask = (*RUN, "--dataset", dataset, "--tracker", "cmaes", "--tracker", f"{STRANGERS}:Raises")
+    surgbench(*ask, "--dry-run", "--out", tmp_path / "runs")
     assert not (tmp_path / "runs").exists()
     captured = capsys.readouterr()
-    assert "2 runs, 8 frames" in captured.err
-    assert captured.out.count(".json") == 2
+    assert "4 runs, 16 frames" in captured.err
+    assert captured.out.count(".json") == 4
+    assert re.search(r"cmaes +2 +8 +\d+ s +0\.0 +measured", captured.err)
+    assert re.search(r"raises +2 +8 +– +– +–", captured.err)
+    assert re.search(r"about \d+ s with --jobs 1; records of 0\.0 MB, \d+ MB free", captured.err)
+
+
+@pytest.mark.slow
+def test_what_a_run_will_take_is_known_from_what_one_took(dataset: Path, tmp_path: Path) -> None:
+    ask = (*RUN, "--dataset", dataset, "--tracker", "cmaes", "--set", "cmaes.iterations=1", "--out", tmp_path)
+    surgbench(*ask, "--sequences", 1)
+    (record,) = records(tmp_path)
+    data = open_as(InstrumentDataset, dataset)
+    row = InstrumentRow(tracker="cmaes", keypoints="observed", options={"cmaes": {"iterations": 1}})
+    planned = jobs(complete(row, Conditions(), data), data)
+    (found,) = forecasts(by_row(planned), data, tmp_path)
+    assert (found.runs, found.frames, found.rate.known_from) == (2, 8, "records")
+    assert found.seconds == pytest.approx(2 * record["elapsed_s"])
+    assert found.longest_s == pytest.approx(record["elapsed_s"])
+    assert seconds_in_all([found], jobs=1) == pytest.approx(found.seconds)
+    assert seconds_in_all([found], jobs=8) == pytest.approx(found.longest_s)  # one run is never shared
+    (path,) = tmp_path.rglob("*-r0.json")
+    assert found.size_bytes == pytest.approx(2 * path.stat().st_size)
 
 
 @pytest.mark.slow
@@ -331,7 +359,9 @@ def test_a_suite_file_runs_its_rows(dataset: Path, tmp_path: Path) -> None:
 def dry_run(capsys: pytest.CaptureFixture[str], *arguments: object) -> dict[str, list[str]]:
     """Records that a command would make, by row; their folders tell the rows' settings."""
     capsys.readouterr()
-    surgbench(*RUN, *arguments, "--dry-run")
+    with pytest.MonkeyPatch.context() as patch:  # how long it takes is not asked here, and would take long
+        patch.setattr(forecast, "measured_rate", lambda job, data: forecast.Rate())
+        surgbench(*RUN, *arguments, "--dry-run")
     paths = [Path(line) for line in capsys.readouterr().out.splitlines()]
     rows = {path.parent.name.rpartition("-")[0] for path in paths}
     return {row: [str(path) for path in paths if path.parent.name.rpartition("-")[0] == row] for row in rows}

@@ -795,6 +795,14 @@ def test_a_part_of_something_else_is_refused() -> None:
 
 
 @pytest.mark.slow
+def test_dry_run_tells_time_and_disk_and_makes_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    surgbench("generate", "mini", "--out", tmp_path / "mini", "--jobs", 2, "--dry-run")
+    assert list(tmp_path.iterdir()) == []
+    said = capsys.readouterr().err
+    assert re.fullmatch(r"mini: 1 pair of trajectories, 60 frames, about 2 MB and \d+ s with --jobs 2\n", said)
+
+
+@pytest.mark.slow
 def test_what_keeps_a_worker_from_beginning_is_told(tmp_path: Path) -> None:
     """As where Mitsuba lacks a system library: nothing was killed, and memory is not to blame."""
     (tmp_path / "something").touch()
