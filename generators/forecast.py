@@ -28,9 +28,8 @@ def frame_seconds(plan: GenerationPlan) -> float:
             raise _EnoughError
 
     began = time.monotonic()
-    with tempfile.TemporaryDirectory() as folder:
-        with suppress(_EnoughError):
-            plan.write(Path(folder), ProcessPool(), mark)
+    with tempfile.TemporaryDirectory() as folder, suppress(_EnoughError):
+        plan.write(Path(folder), ProcessPool(), mark)
     if len(marks) < 2:
         return (time.monotonic() - began) / max(1.0, sum(frames for _, frames in marks))
     return (marks[-1][0] - marks[0][0]) / sum(frames for _, frames in marks[1:])

@@ -115,7 +115,17 @@ def test_rows_are_the_same_wherever_they_are_made_though_a_worker_is_killed(
     monkeypatch.chdir(tmp_path)
     mark = tmp_path / "asked"
     (tmp_path / "lame.py").write_text(LAME.format(mark=str(mark)))
-    ask = (*RUN, "--dataset", data, "--tracker", "lame.py:Lame", "--tracker", "cmaes", "--set", "cmaes.iterations=1")
+    ask: tuple[object, ...] = (
+        *RUN,
+        "--dataset",
+        data,
+        "--tracker",
+        "lame.py:Lame",
+        "--tracker",
+        "cmaes",
+        "--set",
+        "cmaes.iterations=1",
+    )
     ask = (*ask, "--frames", FRAMES, "--repeats", 2)
     with contextlib.ExitStack() as held:
         cluster = Cluster(held, tmp_path_factory.mktemp("cluster"))

@@ -52,7 +52,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-TIMES_AND_MACHINE = ("latency", "initialise_s", "calibration_ms", "environment", "seal")
+TIMES_AND_MACHINE = ("latency", "initialise_s", "elapsed_s", "calibration_ms", "environment", "seal")
 
 
 def without_times(value: Any) -> Any:

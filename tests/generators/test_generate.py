@@ -3,6 +3,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -12,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from commandline import AMPLE_S, kill_before, stopped, wait_until
+from commandline import AMPLE_S, kill_before, stopped, surgbench, wait_until
 
 from surgbench.camera import Camera
 from surgbench.config import locate, packaged_names, read_yaml
