@@ -75,7 +75,12 @@ def short_hash(value: Any) -> str:
 
 def sha256_text(text: str) -> str:
     """Hex SHA-256 of a text."""
-    return hashlib.sha256(text.encode()).hexdigest()
+    return sha256_bytes(text.encode())
+
+
+def sha256_bytes(data: bytes) -> str:
+    """Hex SHA-256 of bytes."""
+    return hashlib.sha256(data).hexdigest()
 
 
 def sha256_file(path: Path) -> str:

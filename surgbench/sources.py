@@ -23,9 +23,9 @@ ENGINE = "surgbench"
 PLUGGED_IN = ("trackers", "generators", "exchange", "tasks")
 # Rooms of the engine that move estimates about, and make none.
 PLUMBING = (
-    "caches", "cli", "cluster", "comparison", "configs", "conformance", "errors", "exporting", "extras", "files",
-    "generation", "kinds", "leftovers", "locks", "plugin_files", "processes", "recordings", "records", "registry",
-    "report", "reproduce", "sources", "suite", "task",
+    "board", "caches", "cli", "cluster", "comparison", "configs", "conformance", "errors", "exporting", "extras",
+    "files", "generation", "kinds", "leftovers", "locks", "plugin_files", "processes", "recordings", "records",
+    "registry", "report", "reproduce", "sources", "suite", "task",
 )  # fmt: skip
 
 

@@ -138,6 +138,34 @@ class Task(ABC):
         """
         raise ConfigError(f"the {self.name} task takes no estimates from files")
 
+    def recorded_job(self, record: dict[str, Any], dataset: Any) -> Job:
+        """The job that a record's specification describes, its plug-ins looked up as they are now.
+
+        Args:
+            record: Its whole content; ``references`` may name files where plug-ins lie here.
+            dataset: What it was run on.
+
+        Raises:
+            SurgbenchError: A plug-in is not there, or the task cannot tell.
+        """
+        raise ConfigError(f"runs of the {self.name} task cannot be made anew from their records")
+
+    def rescore(self, record: dict[str, Any], dataset: Any, run: Run) -> dict[str, Any]:
+        """Measure once more what is wrong with a record's estimates; none of its plug-ins need be there.
+
+        Args:
+            record: Its whole content.
+            dataset: What it was run on.
+            run: Is told how far it is.
+
+        Returns:
+            Names of errors to their values, as the record has them; without those that a record is not enough for.
+
+        Raises:
+            SurgbenchError: The task cannot do that, or the dataset is at fault.
+        """
+        raise ConfigError(f"runs of the {self.name} task cannot be scored again")
+
     def timed(self, row: Any) -> RowRequest:
         """A row as it is run to measure latencies: without what takes time and changes no latency."""
         asked: RowRequest = row

@@ -28,6 +28,7 @@ from surgbench.cli.reproduce import reproduce
 from surgbench.cli.run import run
 from surgbench.cli.score import score
 from surgbench.cli.serve_viewpoint import REMOTE, serve_viewpoint
+from surgbench.cli.submit import submit, verify
 from surgbench.cli.track import IMPORTER, NOT_ASKED, track
 from surgbench.cli.train import train_app
 from surgbench.cli.validate import validate
@@ -129,6 +130,8 @@ app.command("reproduce")(reproduce)
 app.command("video")(video)
 app.command("export")(export)
 app.command("score")(score)
+app.command("submit")(submit)
+app.command("verify")(verify)
 app.command("track")(with_options(track, {}, "options"))  # likewise
 app.command("handeye")(handeye)
 app.command("serve-viewpoint")(with_options(serve_viewpoint, {}, "asked"))  # likewise

@@ -2,33 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any, Literal, cast
+from typing import Any, Literal
 
 import numpy as np
 
 from surgbench.contract import Observation
 from surgbench.errors import ConfigError, DatasetError
 from surgbench.files import HASH_DIGITS
-from surgbench.processes.child import Child
 from surgbench.sources import engine_modules, hash_modules
 from surgbench.suite.asked import Conditions, FileRequest
 from surgbench.suite.running import Run
 from surgbench.suite.settings import Job, Plug
+from surgbench.tasks.instrument.answered import AnsweredRun
 from surgbench.tasks.instrument.dataset import InstrumentDataset, InstrumentUnit
 from surgbench.tasks.instrument.estimates_file import ArmEstimates, EstimatesFile, read_estimates
 from surgbench.tasks.instrument.execute import execute
 from surgbench.tasks.instrument.plan import InstrumentSettings
-from surgbench.tasks.instrument.records import ANSWER_COLUMNS, SOURCE_COLUMNS
 
 FROM_FILE = "from file"
 # Takes the place of the plug-ins that another program has instead, or has not.
 UNKNOWN = "from-file"
-READERS = tuple(f"{__package__}.{name}" for name in ("estimates_file", "from_file", "pose_table"))
+READERS = tuple(f"{__package__}.{name}" for name in ("answered", "estimates_file", "from_file", "pose_table"))
 
 
 @dataclass(frozen=True)
@@ -63,7 +60,8 @@ class FileJob:
         """The errors of these estimates, as a record has them (:meth:`surgbench.task.Task.execute`)."""
         assert isinstance(self.job.unit, InstrumentUnit)
         arms = [self.file.arms[self.job.unit.sequence, arm] for arm in self.job.unit.arms]
-        done = execute(self.job, self.dataset, _FileRun(run, arms), waits=False)
+        initial = np.concatenate([arm.states[0] for arm in arms])
+        done = execute(self.job, self.dataset, AnsweredRun(run, initial, _answers(arms)), waits=False)
         # Where another program's search began is not known.
         frames, errors = {**done["frames"], "start": []}, {**done["errors"], "start_lag_ms": None}
         about = {"name": self.file.name, "sha256": self.file.sha256}
@@ -137,47 +135,18 @@ def _possible_arms(dataset: InstrumentDataset) -> Literal["single", "dual"]:
     return "single"
 
 
-class _FileRun(Run):
-    """A run whose child process is a file."""
+def _answers(arms: list[ArmEstimates]) -> Callable[[Observation], dict[str, Any]]:
+    """The estimates of a frame, as a tracker answers."""
 
-    def __init__(self, run: Run, arms: list[ArmEstimates]) -> None:
-        super().__init__(run.advance, run.stage)
-        self._arms = arms
-
-    @contextmanager
-    def child(self, module: str, timeout_s: float) -> Iterator[Child]:
-        yield cast("Child", _File(self._arms))  # what is asked of a child, it can do
-
-
-class _File:
-    """Answers the messages that a tracker's process is sent (:mod:`surgbench.tasks.instrument.worker`)."""
-
-    def __init__(self, arms: list[ArmEstimates]) -> None:
-        self._arms = arms
-        self._answer: tuple[Any, ...] = ()
-
-    def send(self, kind: str, *content: Any) -> None:
-        if kind == "first":
-            self._answer = ("initialised", np.concatenate([arm.states[0] for arm in self._arms]), 0.0)
-        elif kind == "step":
-            self._answer = ("answer", self._step(content[0]))
-
-    def ready(self) -> tuple[Any, ...]:
-        return ("ready",)
-
-    def receive(self) -> tuple[Any, ...]:
-        return self._answer
-
-    def _step(self, observation: Observation) -> SimpleNamespace:
-        """The estimate of a frame."""
-        frame, arms = observation.index, self._arms
+    def step(observation: Observation) -> dict[str, Any]:
+        frame = observation.index
         state = np.concatenate([arm.states[frame] for arm in arms])
         told = [arm.deviations[frame] for arm in arms if arm.deviations is not None]
         known = len(told) == len(arms) and bool(np.isfinite(told).all())
         confidence = np.array([arm.confidence[frame] for arm in arms], dtype=np.float64)
         lost = np.array([arm.lost[frame] for arm in arms], dtype=bool)
         times = [float(arm.time_ms[frame]) for arm in arms if arm.time_ms is not None]
-        answer = {
+        return {
             "start": state,
             "state": state,
             "confidence": float(confidence.min()),
@@ -187,4 +156,5 @@ class _File:
             "standard_deviations": np.concatenate(told) if known else None,
             "latency_ms": max(times) if times else None,
         }
-        return SimpleNamespace(**{**dict.fromkeys((*ANSWER_COLUMNS, *SOURCE_COLUMNS, "seen")), **answer})
+
+    return step

@@ -44,7 +44,7 @@ def replay_traces(record: dict[str, Any], dataset: InstrumentDataset, frames: li
     spec, recorded = record["spec"], record["frames"]
     if dataset.hash != spec["dataset"]["sha256"]:
         raise SurgbenchError(f"{dataset.path}: not the dataset of the run '{spec['row_id']}' (another hash)")
-    job = _job(record, dataset)
+    job = recorded_job(record, dataset)
     data = unit_data(job, dataset)
     last = min(max(frames, default=-1), len(recorded["index"]) - 1)
     first = _first(recorded)
@@ -80,7 +80,7 @@ def made_masks(record: dict[str, Any], dataset: InstrumentDataset) -> Iterator[t
     Raises:
         SurgbenchError: The source cannot run here, or breaks down.
     """
-    job, recorded = _job(record, dataset), record["frames"]
+    job, recorded = recorded_job(record, dataset), record["frames"]
     data, frames = unit_data(job, dataset), len(recorded["index"])
     first = _first(recorded)
     if first is None:
@@ -108,7 +108,7 @@ def _initial(record: dict[str, Any], first: int) -> FloatArray:
     return np.array(record.get("initial_state") or record["frames"]["start"][first])
 
 
-def _job(record: dict[str, Any], dataset: InstrumentDataset) -> Job:
+def recorded_job(record: dict[str, Any], dataset: InstrumentDataset) -> Job:
     """The job that a record's specification describes."""
     spec, references = record["spec"], record["references"]
     plugs = [spec[kind] for kind in ("tracker", "initialiser", "filter", "keypoints", "mask_source") if kind in spec]

@@ -98,6 +98,18 @@ class InstrumentTask(Task):
 
         return file_jobs(dataset, path, asked, self.made_by)
 
+    def recorded_job(self, record: dict[str, Any], dataset: InstrumentDataset) -> Job:
+        """See :func:`surgbench.tasks.instrument.replay.recorded_job`."""
+        from surgbench.tasks.instrument.replay import recorded_job
+
+        return recorded_job(record, dataset)
+
+    def rescore(self, record: dict[str, Any], dataset: InstrumentDataset, run: Run) -> dict[str, Any]:
+        """See :func:`surgbench.tasks.instrument.rescored.rescore`."""
+        from surgbench.tasks.instrument.rescored import rescore
+
+        return rescore(record, dataset, run)
+
     @property
     def record(self) -> type[InstrumentRecord]:
         """A record of an instrument tracker."""

@@ -83,6 +83,18 @@ class ViewpointTask(Task):
         """Without pictures, which are taken after the run."""
         return row.model_copy(update={"photographs_hz": 0.0})
 
+    def recorded_job(self, record: dict[str, Any], dataset: ViewpointDataset) -> Job:
+        """See :func:`surgbench.tasks.viewpoint.rescored.recorded_job`."""
+        from surgbench.tasks.viewpoint.rescored import recorded_job
+
+        return recorded_job(record, dataset)
+
+    def rescore(self, record: dict[str, Any], dataset: ViewpointDataset, run: Run) -> dict[str, Any]:
+        """See :func:`surgbench.tasks.viewpoint.rescored.rescore`."""
+        from surgbench.tasks.viewpoint.rescored import rescore
+
+        return rescore(record, dataset, run)
+
     @property
     def record(self) -> type[ViewpointRecord]:
         """A record of a controller."""
