@@ -26,7 +26,8 @@ def report(
         list[Path], typer.Argument(metavar="DIR...", help="Folders of records; several become one leaderboard.")
     ],
     table_format: Annotated[
-        TableFormat, typer.Option("--format", help="csv and json hold every column and digit; latex is for papers; html is a page.")
+        TableFormat,
+        typer.Option("--format", help="csv and json hold every column and digit; latex is for papers; html is a page."),
     ] = TableFormat.table,
     out: Annotated[Path | None, typer.Option(metavar="FILE", help="Write here, not to standard output.")] = None,
     plots: Annotated[
@@ -38,7 +39,9 @@ def report(
     ] = None,
     pictures: Annotated[
         int | None,
-        typer.Option(min=0, max=100, metavar="N", help="html: draw moments of the N best rows of each table; default 3."),
+        typer.Option(
+            min=0, max=100, metavar="N", help="html: draw moments of the N best rows of each table; default 3."
+        ),
     ] = None,
     published: Annotated[
         list[str] | None,

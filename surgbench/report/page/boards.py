@@ -61,7 +61,7 @@ def grouped(records: Sequence[Record]) -> list[Group]:
         anchors = tuple(f"row-{count + place}" for place in range(len(rows)))
         count += len(rows)
         members = tuple(tuple(members_of[id(row)]) for row in rows)
-        found.append(Group(number, title, tuple(rows), members, anchors, abouts))
+        found.append(Group(number, clipped(title), tuple(rows), members, anchors, abouts))
     return found
 
 
@@ -69,21 +69,22 @@ def board(group: Group) -> Board:
     """A table of the page."""
     rows = list(group.rows)
     main, ranking = shown(rows), Ranking(rows)
-    failed = unsound(rows)
-    if failed:
+    if unsound(rows):
         main.append(STATUS)
     present = {key for row in rows for key, value in row.items() if value is not None}
     known = {column.key for column in main}
     further = [one for one in columns(rows) if one.key in present and one.key not in known]
-    heads = [Head(column.name, column.unit, is_text=column.decimals is None and _is_text(rows, column)) for column in main]
+    heads = [
+        Head(column.name, column.unit, is_text=column.decimals is None and _is_text(rows, column)) for column in main
+    ]
     heads += [Head(one.key, main=False, is_text=one.type in ("text", "flag")) for one in further]
     lines = []
     for row, anchor, about in zip(rows, group.anchors, group.abouts, strict=True):
         cells = [_shown(column, row, ranking) for column in main[1:]] + [_plain(row.get(one.key)) for one in further]
         badges = ("floor: not ranked",) if row.get("floor") else ()
-        reason = (row["error"] or "no message") if row["status"] != "ok" and row in failed else None
-        reason = None if reason is None else clipped(reason)
-        lines.append(Line(anchor, clipped(row["row_id"]), tuple(cells), row["status"], reason, badges, about))
+        reason = clipped(row["error"] or "no message") if unsound([row]) else None
+        name, status = clipped(row["row_id"]), clipped(row["status"], 40)
+        lines.append(Line(anchor, name, tuple(cells), status, reason, badges, about))
     return Board(f"board-{group.number}", group.title, tuple(heads), tuple(lines))
 
 

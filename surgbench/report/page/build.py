@@ -15,6 +15,7 @@ from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
 
 from surgbench.records.format import Record
+from surgbench.report.encoders import has_h264
 from surgbench.report.page.boards import board, grouped
 from surgbench.report.page.content import Board, Page
 from surgbench.report.page.curves import curves_of
@@ -22,7 +23,6 @@ from surgbench.report.page.drawn import drawn
 from surgbench.report.page.moments import FULL, NO_FILMS, Pictures, Progress, planned
 from surgbench.report.page.origins import origins
 from surgbench.report.page.quoted import quoted_boards
-from surgbench.report.encoders import has_h264
 from surgbench.task import find_task
 from surgbench.version import __version__
 
@@ -57,9 +57,10 @@ def build_page(
     groups = grouped(records)
     curves = [curves_of(group) for group in groups]
     drawings = planned(curves, pictures)
-    tasks = [find_task(name) for name in dict.fromkeys(record.spec.task for record in records)]
+    rows = [row for group in groups for row in group.rows]
+    tasks = [find_task(name) for name in dict.fromkeys(row["task"] for row in rows)]
     parts: dict[str, Any] = {
-        "title": f"surgbench: {_listed([record.spec.dataset.name for record in records])}",
+        "title": f"surgbench: {_listed([row['dataset'] for row in rows])}",
         "summary": _summary(records, [task.name for task in tasks]),
         "boards": tuple(map(board, groups)),
         "quoted": tuple(quoted_boards(published, tasks)),
@@ -89,7 +90,7 @@ def render(page: Page) -> bytes:
         version=__version__,
     )
     # A record may hold halves of characters, which no file can.
-    return html.encode("utf-8", "replace")
+    return str(html).encode("utf-8", "replace")
 
 
 def policy(style: str, script: str) -> str:

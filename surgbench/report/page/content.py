@@ -100,6 +100,7 @@ class Moment:
         frame: Number of the frame.
         value: The error, with its name and unit.
         still: A picture as a ``data:`` URI; ``None`` where it was not drawn.
+        size: Its width and height.
         clip: A film of the time around it, likewise.
     """
 
@@ -109,6 +110,7 @@ class Moment:
     frame: int
     value: str
     still: str | None = None
+    size: tuple[int, int] = (0, 0)
     clip: str | None = None
 
 

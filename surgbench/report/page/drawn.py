@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
+from surgbench.geometry import FloatArray
 from surgbench.report.column import Column
 from surgbench.report.page.boards import Group
 from surgbench.report.page.content import clipped
@@ -67,55 +68,59 @@ def _measure(column: Column) -> dict[str, Any]:
 
 def _run(curves: Curves, place: int, unit: str, points: int) -> dict[str, Any]:
     record = curves.runs[place, unit]
-    index = record.frames.index
-    lines: list[Mapping[str, Any] | None] = []
-    for column in curves.measures:
-        values = values_of(record, column)
-        kept = thinned(values, points)
-        if len(kept):
-            x, y = [index[at] for at in kept], [point(values[at]) for at in kept]
-            lines.append({"x": x, "y": y, "mean": point(float(np.nanmean(values)))})
-        else:
-            lines.append(None)
-    moments: list[dict[str, Any]] = []
-    if curves.measures:
-        values = values_of(record, curves.measures[0])
-        drawing = Drawing(curves, place, unit, ())
-        moments = [_moment(drawing, choice, curves) for choice in choose(values)]
-    return {"lines": lines, "moments": moments}
+    measured = [values_of(record, column) for column in curves.measures]
+    lines = [_line(record.frames.index, values, points) for values in measured]
+    drawing = Drawing(curves, place, unit, ())
+    choices = choose(measured[0]) if measured else []
+    return {"lines": lines, "moments": [_moment(drawing, choice, measured) for choice in choices]}
 
 
-def _moment(drawing: Drawing, choice: Choice, curves: Curves) -> dict[str, Any]:
+def _line(index: Sequence[int], values: FloatArray, points: int) -> dict[str, Any] | None:
+    kept = thinned(values, points)
+    if not len(kept):
+        return None
+    x, y = [index[place] for place in kept], [point(float(values[place])) for place in kept]
+    return {"x": x, "y": y, "mean": point(float(np.nanmean(values)))}
+
+
+def _moment(drawing: Drawing, choice: Choice, measured: Sequence[FloatArray]) -> dict[str, Any]:
     moment = described(drawing, choice)
-    here: list[float | None] = []
-    for column in curves.measures:
-        values = values_of(drawing.record, column)
-        there = choice.place < len(values) and np.isfinite(values[choice.place])
-        here.append(point(float(values[choice.place])) if there else None)
-    text = moment.value
-    return {"kind": moment.kind, "frame": moment.frame, "text": text, "values": here, "picture": moment.anchor}
+    here = [values[choice.place] if choice.place < len(values) else np.nan for values in measured]
+    return {
+        "kind": moment.kind,
+        "frame": moment.frame,
+        "text": moment.value,
+        "values": [point(float(value)) if np.isfinite(value) else None for value in here],
+        "picture": moment.anchor,
+    }
 
 
 def _scatter(group: Group) -> dict[str, Any]:
     """Of each sound row its median latency and its errors."""
-    errors = [column for column in group.task.shown if column.best and column.key != LATENCY]
-    rows = [group.rows[place] for place in group.whole]
-    known = [column for column in errors if any(_finite(row.get(column.key)) for row in rows)]
+    sound = [place for place in group.whole if group.rows[place]["status"] == "ok"]
+    timed = [place for place in sound if (_value(group.rows[place].get(LATENCY)) or 0.0) > 0.0]
+    errors = [
+        column
+        for column in group.task.shown
+        if column.best
+        and column.key != LATENCY
+        and any(_value(group.rows[place].get(column.key)) is not None for place in timed)
+    ]
     points = [
         {
             "row": place,
-            "x": point(group.rows[place][LATENCY]),
-            "y": [
-                point(value * column.scale) if _finite(value := group.rows[place].get(column.key)) else None
-                for column in known
-            ],
-            "floor": bool(group.rows[place].get("floor")),
+            "x": _value(row[LATENCY]),
+            "y": [_value(row.get(column.key), column.scale) for column in errors],
+            "floor": bool(row.get("floor")),
         }
-        for place in group.whole
-        if group.rows[place]["status"] == "ok" and _finite(group.rows[place].get(LATENCY)) and group.rows[place][LATENCY] > 0
+        for place in timed
+        for row in [group.rows[place]]
     ]
-    return {"measures": [_measure(column) for column in known], "points": points}
+    return {"measures": [_measure(column) for column in errors], "points": points}
 
 
-def _finite(value: Any) -> bool:
-    return isinstance(value, int | float) and bool(np.isfinite(value))
+def _value(value: Any, scale: float = 1.0) -> float | None:
+    """A number as a picture needs it; ``None`` for anything else."""
+    if not isinstance(value, int | float) or not np.isfinite(value * scale):
+        return None
+    return point(value * scale)

@@ -7,7 +7,7 @@ import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -27,6 +27,7 @@ from surgbench.task import find_task
 KINDS = ("best", "median", "worst")
 SEQUENCES = 3  # of each table: those that its best row is best, middling and worst on
 AROUND_S = 1.0  # that a film shows before and after its moment
+AROUND_BYTES = 1000  # that the page has beside a picture: its caption, its place
 QUALITY = 80  # of WebP
 NO_FILMS = (
     "There are no films: this page was made without an encoder for H.264, which browsers play "
@@ -116,6 +117,13 @@ def planned(all_curves: Sequence[Curves], rows: int) -> list[Drawing]:
     return [one for one in drawings if one.choices]
 
 
+class Still(NamedTuple):
+    """A picture as a ``data:`` URI, its width and height."""
+
+    data: str
+    size: tuple[int, int]
+
+
 class Pictures:
     """Draws moments until there is no more room for them.
 
@@ -141,7 +149,7 @@ class Pictures:
 
     def draw(self, drawings: Sequence[Drawing], progress: Progress) -> list[Gallery]:
         """Draw stills of all, then films as far as there is room."""
-        stills: dict[str, str] = {}
+        stills: dict[str, Still] = {}
         clips: dict[str, str] = {}
         legends: dict[int, str] = {}
         films = has_h264()
@@ -158,9 +166,10 @@ class Pictures:
                 runs.append((drawing, filmed))
                 legends[number] = filmed.legend
                 for choice in drawing.choices:
-                    picture = self._kept(self._still(filmed, drawing, choice))
-                    if picture is not None:
-                        stills[drawing.anchor(choice)] = picture
+                    picture = self._still(filmed, drawing, choice)
+                    data = None if picture is None else self._kept(_webp(picture))
+                    if picture is not None and data is not None:
+                        stills[drawing.anchor(choice)] = Still(data, (picture.shape[1], picture.shape[0]))
                     advance(1)
             for drawing, filmed in runs if films else ():
                 for choice in drawing.choices:
@@ -189,10 +198,10 @@ class Pictures:
             self._say(clipped(f"{record.spec.row_id}, {record.spec.unit}: {error}"))
         return None
 
-    def _still(self, filmed: Filmed, drawing: Drawing, choice: Choice) -> bytes | None:
+    def _still(self, filmed: Filmed, drawing: Drawing, choice: Choice) -> Picture | None:
         try:
             frame = drawing.record.frames.index[choice.place]
-            return _webp(filmed.picture(frame)) if 0 <= frame < filmed.frames else None
+            return filmed.picture(frame) if 0 <= frame < filmed.frames else None
         except SurgbenchError as error:
             self._say(clipped(f"{drawing.record.spec.row_id}, {drawing.unit}: {error}"))
             return None
@@ -216,10 +225,11 @@ class Pictures:
             return None
         kind = "image/webp" if data[:4] == b"RIFF" else "video/mp4"
         text = f"data:{kind};base64,{base64.b64encode(data).decode()}"
-        if len(text) > self._room:
+        needed = len(text) + AROUND_BYTES
+        if needed > self._room:
             self.full = True
             return None
-        self._room -= len(text)
+        self._room -= needed
         return text
 
     def _say(self, problem: str) -> None:
@@ -240,7 +250,7 @@ def _webp(picture: Picture) -> bytes:
 
 
 def _galleries(
-    drawings: Sequence[Drawing], stills: dict[str, str], clips: dict[str, str], legends: dict[int, str]
+    drawings: Sequence[Drawing], stills: dict[str, Still], clips: dict[str, str], legends: dict[int, str]
 ) -> list[Gallery]:
     """What was drawn, table by table, unit by unit."""
     strips: dict[int, list[Filmstrip]] = {}
@@ -269,7 +279,7 @@ def row_name(curves: Curves, place: int) -> str:
     return clipped(f"{row['row_id']} ({row['variant']})" if len(namesakes) > 1 else row["row_id"], 200)
 
 
-def described(drawing: Drawing, choice: Choice, still: str | None = None, clip: str | None = None) -> Moment:
+def described(drawing: Drawing, choice: Choice, still: Still | None = None, clip: str | None = None) -> Moment:
     """A moment with its frame and error."""
     measure = drawing.curves.measures[0]
     value = float(values_of(drawing.record, measure)[choice.place])
@@ -280,6 +290,7 @@ def described(drawing: Drawing, choice: Choice, still: str | None = None, clip: 
         choice.place,
         drawing.record.frames.index[choice.place],
         f"{text} {measure.unit}".strip(),
-        still,
+        None if still is None else still.data,
+        (0, 0) if still is None else still.size,
         clip,
     )

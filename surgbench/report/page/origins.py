@@ -64,7 +64,9 @@ def _parts(row: Mapping[str, Any], records: Sequence[Record]) -> dict[str, Facts
         "Where": [*_facts(where), *_times(row, records, abouts)],
         "Records": _facts(others),
     }
-    return {title: [(clipped(name, 200), clipped(text)) for name, text in facts] for title, facts in parts.items() if facts}
+    return {
+        title: [(clipped(name, 200), clipped(text)) for name, text in facts] for title, facts in parts.items() if facts
+    }
 
 
 def _times(row: Mapping[str, Any], records: Sequence[Record], abouts: Sequence[Mapping[str, Any]]) -> Facts:

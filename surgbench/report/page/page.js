@@ -100,6 +100,7 @@
       for (const digit of [1, 2, 5]) found.push(digit * 10 ** power);
     }
     const inside = found.filter((one) => one >= low * 0.999 && one <= high * 1.001);
+    if (inside.length < 3) return ticks(low, high, most);
     const decades = inside.filter((one) => Math.abs(Math.log10(one) - Math.round(Math.log10(one))) < 1e-9);
     return inside.length <= most || decades.length < 2 ? inside : decades;
   }
@@ -345,7 +346,7 @@
     if (still) {
       const link = element("a", { href: `#${moment.picture}` }, figure.querySelector("video") ? "with its film, among the moments" : "among the moments");
       caption.append(". ", link);
-      shown.replaceChildren(element("img", { src: still.src, alt: said }), caption);
+      shown.replaceChildren(element("img", { src: still.src, alt: said, width: still.getAttribute("width"), height: still.getAttribute("height") }), caption);
     } else {
       caption.append(". There is no picture of it on this page.");
       shown.replaceChildren(caption);

@@ -46,7 +46,7 @@ def _of_source(source: Published, columns: dict[str, Column], number: int) -> li
     for key, row in source.rows.items():
         for dataset in row.data:
             tables.setdefault((row.table, dataset), []).append(key)
-    boards = []
+    boards: list[Board] = []
     for (table, dataset), keys in tables.items():
         used = [key for key in source.units if any(key in source.rows[one].data[dataset] for one in keys)]
         own = [columns.get(key, Column(key, key, source.units[key], 3)) for key in used]
