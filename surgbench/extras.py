@@ -16,6 +16,7 @@ EXTRAS = {
     "control": ("clarabel", "daqp"),
     "bags": ("rosbags",),
     "gym": ("gymnasium",),
+    "browser": ("playwright",),
     "readers": ("evo", "mlcroissant", "pycocotools"),
     "bench": ("embreex", "moderngl", "open3d"),
 }

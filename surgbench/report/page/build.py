@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 from jinja2 import Environment, StrictUndefined
-from markupsafe import Markup
 
 from surgbench.records.format import Record
 from surgbench.report.encoders import has_h264
@@ -84,9 +83,9 @@ def render(page: Page) -> bytes:
     html = _template().render(
         page=page,
         policy=policy(style, script),
-        style=Markup(style),
-        script=Markup(script),
-        data=Markup(embedded(page.data)),
+        style=style,
+        script=script,
+        data=embedded(page.data),
         version=__version__,
     )
     # A record may hold halves of characters, which no file can.
