@@ -66,7 +66,7 @@ def report(
     elif dataset is not None and table_format is not TableFormat.html:
         raise ConfigError("--dataset: is for --plots and --format html; a leaderboard needs no dataset")
     if table_format is TableFormat.html:
-        _write_page(directories, out, pictures, dataset if plots is None else None, published or [])
+        _write_page(directories, out, pictures, dataset, published or [])
         return
     for option, value in (("--pictures", pictures), ("--published", published)):
         if value:

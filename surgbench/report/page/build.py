@@ -67,7 +67,8 @@ def build_page(
         "data": drawn(curves, drawings),
         "origins": tuple(origin for group in groups for origin in origins(group)),
     }
-    drawer = Pictures(MOST_BYTES - len(render(Page(**parts))), dataset)
+    known = {record.spec.dataset.sha256 for record in records}
+    drawer = Pictures(MOST_BYTES - len(render(Page(**parts))), known, dataset)
     galleries = tuple(drawer.draw(drawings, progress))
     notes = list(drawer.problems)
     if galleries and not has_h264():

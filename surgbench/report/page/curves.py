@@ -17,9 +17,9 @@ from surgbench.report.page.boards import Group
 LATENCY = "latency_ms"
 DIGITS = 4  # significant, of a point of a curve
 # Of one line; fewer where there are many lines, so that the page stays small.
-MOST_POINTS, FEWEST_POINTS = 400, 60
-# Of all lines together: about 3 MB of text.
-ALL_POINTS = 250_000
+MOST_POINTS, FEWEST_POINTS = 400, 100
+# Of all lines together: about 5 MB of text.
+ALL_POINTS = 400_000
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -129,22 +129,25 @@ class Pictures:
 
     Args:
         room: Bytes that all of them may take on the page.
+        known: Hashes of the datasets that there are runs on.
         moved: Where the dataset of some of the runs is now.
 
     Raises:
-        DatasetError: There is no dataset where it is said to be.
+        DatasetError: There is no dataset where it is said to be, or none that any of them was made on.
 
     Attributes:
         problems: Why some runs have no pictures, one line each.
         full: Something was left out.
     """
 
-    def __init__(self, room: int, moved: Path | None = None) -> None:
+    def __init__(self, room: int, known: Collection[str], moved: Path | None = None) -> None:
         self.problems: list[str] = []
         self.full = False
         self._room = room
         self._moved = moved
         self._moved_hash = None if moved is None else open_dataset(moved).hash
+        if self._moved_hash is not None and self._moved_hash not in known:
+            raise DatasetError(f"{moved}: not the dataset of any of these runs (its hash differs)")
         self._missing: set[str] = set()
 
     def draw(self, drawings: Sequence[Drawing], progress: Progress) -> list[Gallery]:

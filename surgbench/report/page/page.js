@@ -354,6 +354,18 @@
     shown.hidden = false;
   }
 
+  // Pictures with small print are shown large where there is room for it.
+  function enlargeable(figure) {
+    const still = figure.querySelector("img");
+    if (!still || Number(still.getAttribute("width")) < 700) return;
+    const button = element("button", { type: "button", class: "larger", "aria-pressed": "false" }, "larger");
+    button.setAttribute("aria-label", `larger: ${still.alt}`);
+    button.addEventListener("click", () => {
+      button.setAttribute("aria-pressed", String(figure.classList.toggle("large")));
+    });
+    figure.querySelector("figcaption").append(button);
+  }
+
   // Links lead to what may be folded or filtered away.
   function reveal(unfilter) {
     const target = location.hash.length > 1 && document.getElementById(location.hash.slice(1));
@@ -370,6 +382,7 @@
 
   tables.forEach(sortable);
   const unfilter = filterable();
+  document.querySelectorAll(".sheet figure").forEach(enlargeable);
   scatter();
   curves();
   addEventListener("hashchange", () => reveal(unfilter));
