@@ -198,7 +198,7 @@ class Pictures:
                 "there are no pictures of them (surgbench report … --dataset PATH)."
             )
         except SurgbenchError as error:
-            self._say(clipped(f"{record.spec.row_id}, {record.spec.unit}: {error}"))
+            self._say(clipped(str(error)))
         return None
 
     def _still(self, filmed: Filmed, drawing: Drawing, choice: Choice) -> Picture | None:

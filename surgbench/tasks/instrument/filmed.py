@@ -12,6 +12,8 @@ from surgbench.tasks.instrument.scenery import Scenery
 from surgbench.tasks.instrument.video import make_shots
 
 WIDTH = 560
+# Of films: half as many pictures as most cameras take are smooth enough, and half as large.
+FPS = 15.0
 
 
 class FilmedTracker:
@@ -25,12 +27,11 @@ class FilmedTracker:
         SurgbenchError: The dataset is not there, or is another one.
     """
 
-    every = 1
-
     def __init__(self, record: InstrumentRecord, dataset_path: Path | None = None) -> None:
         (job,) = choose_runs(InstrumentDataset, [record], (), (), dataset_path)
         self._scenery, self._shots = Scenery(job.dataset, record), make_shots([record])
         self.dt_s = self._scenery.recording.dt_s
+        self.every = max(1, round(1.0 / (FPS * self.dt_s)))
         self.frames = min(len(record.frames.state), self._scenery.recording.frames)
 
     @property
