@@ -115,6 +115,7 @@ def _write_page(
         pictures=PICTURED_ROWS if pictures is None else pictures,
         dataset=dataset,
         published=published,
+        tell=lambda problem: print(problem, file=sys.stderr),
     )
     if out is None:
         sys.stdout.buffer.write(page)

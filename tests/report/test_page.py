@@ -22,12 +22,12 @@ from paged import ATTACK, MARKUP, hostile, ordinary, page_of, pictured, silent
 from surgbench.errors import DatasetError, NotFoundError
 from surgbench.records.reader import read_records
 from surgbench.report.encoders import has_h264
-from surgbench.report.page import moments
 from surgbench.report.page.boards import grouped
 from surgbench.report.page.build import MOST_BYTES, build_page, embedded, read, render
 from surgbench.report.page.content import Board, Cell, Head, Line, Page, clipped
 from surgbench.report.page.curves import curves_of, points_for, share_of, thinned, units_shown
 from surgbench.report.page.moments import choose, chosen_units
+from surgbench.report.page.pictures import NO_FILMS
 from surgbench.report.render import markdown
 from surgbench.report.rows import derive_rows
 
@@ -160,7 +160,7 @@ def test_moments_are_drawn_and_filmed(tmp_path: Path) -> None:
     assert len(re.findall(r'<img src="data:image/webp;base64,', page)) == 6
     assert 'alt="worst moment of near on 000-right, frame 3: mask error 0.080"' in page
     assert len(re.findall(r'src="data:video/mp4;base64,', page)) == (6 if has_h264() else 0)
-    assert (moments.NO_FILMS.partition(":")[0] in page) == (not has_h264())
+    assert (NO_FILMS.partition(":")[0] in page) == (not has_h264())
     moved = tmp_path / "moved"
     (tmp_path / "pairs").rename(moved)
     assert "<img" not in page_of(runs)
@@ -171,13 +171,26 @@ def test_moments_are_drawn_and_filmed(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+def test_a_picture_that_cannot_be_read_is_said_without_where_it_lies(tmp_path: Path) -> None:
+    runs = pictured(tmp_path)
+    for mask in (tmp_path / "pairs").rglob("000003.png"):
+        mask.write_bytes(b"no picture")
+    told: list[str] = []
+    page = html.unescape(page_of(runs, tell=told.append))
+    assert "near, 000-left: dataset 'pairs'" in page
+    assert str(tmp_path) not in page
+    assert any(str(tmp_path) in line for line in told)
+    assert page.count("<img") == 4
+
+
+@pytest.mark.slow
 def test_without_an_encoder_there_are_stills_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in ("moments", "build"):
+    for module in ("pictures", "build"):
         monkeypatch.setattr(f"surgbench.report.page.{module}.has_h264", lambda: False)
     page = page_of(pictured(tmp_path))
     assert "<img" in page
     assert "<video" not in page
-    assert moments.NO_FILMS in html.unescape(page)
+    assert NO_FILMS in html.unescape(page)
 
 
 @pytest.mark.slow

@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cache
 from importlib import resources
 from pathlib import Path
@@ -16,11 +16,12 @@ from jinja2 import Environment, StrictUndefined
 from surgbench.records.format import Record
 from surgbench.report.encoders import has_h264
 from surgbench.report.page.boards import board, grouped
-from surgbench.report.page.content import Board, Page
+from surgbench.report.page.content import Board, Page, clipped
 from surgbench.report.page.curves import curves_of
 from surgbench.report.page.drawn import drawn
-from surgbench.report.page.moments import FULL, NO_FILMS, Pictures, Progress, planned
+from surgbench.report.page.moments import planned
 from surgbench.report.page.origins import origins
+from surgbench.report.page.pictures import FULL, NO_FILMS, Pictures, Progress
 from surgbench.report.page.quoted import quoted_boards
 from surgbench.task import find_task
 from surgbench.version import __version__
@@ -37,6 +38,7 @@ def build_page(
     pictures: int = PICTURED_ROWS,
     dataset: Path | None = None,
     published: Sequence[str] = (),
+    tell: Callable[[str], None] = lambda problem: None,
     further: Sequence[Board] = (),
 ) -> bytes:
     """The report of some records as one HTML page, which needs no other file.
@@ -48,6 +50,7 @@ def build_page(
         pictures: Rows of each table whose moments are drawn; 0 for none.
         dataset: Where the dataset of some of them is now, if not where the records say.
         published: Sources of published figures, which are quoted.
+        tell: Takes one line for everything that there are no pictures of, and why.
         further: Tables that stand below the leaderboard as they are.
 
     Raises:
@@ -68,7 +71,7 @@ def build_page(
         "origins": tuple(origin for group in groups for origin in origins(group)),
     }
     known = {record.spec.dataset.sha256 for record in records}
-    drawer = Pictures(MOST_BYTES - len(render(Page(**parts))), known, dataset)
+    drawer = Pictures(MOST_BYTES - len(render(Page(**parts))), known, dataset, tell)
     galleries = tuple(drawer.draw(drawings, progress))
     notes = list(drawer.problems)
     if galleries and not has_h264():
@@ -137,5 +140,5 @@ def _summary(records: Sequence[Record], tasks: Sequence[str]) -> str:
 
 
 def _listed(names: Sequence[str], most: int = 4) -> str:
-    found = list(dict.fromkeys(names))
+    found = [clipped(name, 80) for name in dict.fromkeys(names)]
     return ", ".join(found[:most]) + (f" and {len(found) - most} more" if len(found) > most else "")

@@ -15,7 +15,7 @@ from surgbench.report.page.content import Origin, clipped
 
 # Said elsewhere on the page, of single runs, or of no use to whom the page is sent to: where somebody's files lie.
 _LEFT_OUT = (
-    "spec", "settings_hash", "spec_hash", "seal", "status", "error", "variant", "floor", "hint", "unit_frames",
+    "spec", "settings_hash", "spec_hash", "seal", "status", "error", "variant", "floor", "unit_frames",
     "dataset_frames", "dataset_path", "environment", "calibration_ms", "initialise_s", "initial_state",
 )  # fmt: skip
 _OF_THE_RUN = ("unit", "sequence", "arms", "mask_kind", "repeat", "seed", "level", "dataset")
