@@ -21,7 +21,9 @@ demo: $(SETUP)
 	$(BIN)/surgbench video $(DEMO)/runs --frames 4 --samples --out $(DEMO)/pictures
 	$(BIN)/surgbench generate wire-chaser-mini --out $(DEMO)/chaser
 	$(BIN)/surgbench run --dataset $(DEMO)/chaser --tracker gaze --tracker autocam --out $(DEMO)/chaser-runs
+	$(BIN)/surgbench report $(DEMO)/runs $(DEMO)/chaser-runs --format html --out $(DEMO)/report.html
 	@echo "overlay picture: $(DEMO)/pictures/000-left.png   table: $(DEMO)/leaderboard.md"
+	@echo "all of it, to be opened in a browser: $(DEMO)/report.html"
 
 test: lint types unit wheel-test
 
@@ -72,8 +74,8 @@ $(SETUP): pyproject.toml constraints.txt tools/system-libraries.sh
 	touch $@
 
 $(EXTRAS): $(SETUP)
-	sh tools/system-libraries.sh meshes
-	PYTHONWARNINGS=ignore $(PIP) -e '.[dev,turbo,meshes,plots,onnx,video,readers,sam2,control,bags,gym,cluster]'
+	sh tools/system-libraries.sh meshes browser
+	PYTHONWARNINGS=ignore $(PIP) -e '.[dev,turbo,meshes,plots,onnx,video,readers,browser,sam2,control,bags,gym,cluster]'
 	touch $@
 
 clean:

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from surgbench.records.format import Record
     from surgbench.report.column import Column
     from surgbench.report.field import Field
+    from surgbench.report.filmed import Filmed
     from surgbench.report.row import Row
     from surgbench.report.video_options import VideoOptions
     from surgbench.reproduce.sheet import Sheet
@@ -259,6 +260,18 @@ class Task(ABC):
             The files written.
         """
         raise SurgbenchError(f"runs of the {self.name} task have no video")
+
+    def filmed(self, record: Any, dataset: Path | None) -> Filmed:
+        """What draws single frames of a run.
+
+        Args:
+            record: The run.
+            dataset: Where its dataset is, if not where the record says.
+
+        Raises:
+            SurgbenchError: Runs of this task have no pictures, this one has none, or its dataset is not there.
+        """
+        raise SurgbenchError(f"runs of the {self.name} task have no pictures")
 
     def plots(
         self,

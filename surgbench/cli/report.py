@@ -18,6 +18,7 @@ class TableFormat(str, Enum):
     markdown = "markdown"
     json = "json"
     latex = "latex"
+    html = "html"
 
 
 def report(
@@ -25,7 +26,8 @@ def report(
         list[Path], typer.Argument(metavar="DIR...", help="Folders of records; several become one leaderboard.")
     ],
     table_format: Annotated[
-        TableFormat, typer.Option("--format", help="csv and json hold every column and digit; latex is for papers.")
+        TableFormat,
+        typer.Option("--format", help="csv and json hold every column and digit; latex is for papers; html is a page."),
     ] = TableFormat.table,
     out: Annotated[Path | None, typer.Option(metavar="FILE", help="Write here, not to standard output.")] = None,
     plots: Annotated[
@@ -33,7 +35,17 @@ def report(
         typer.Option(metavar="DIR", help="Also draw errors, rules and latencies of camera runs over time in here."),
     ] = None,
     dataset: Annotated[
-        Path | None, typer.Option(metavar="PATH", help="Where the dataset is, if it moved since the run; for --plots.")
+        Path | None, typer.Option(metavar="PATH", help="Where the dataset is, if it moved; for --plots and html.")
+    ] = None,
+    pictures: Annotated[
+        int | None,
+        typer.Option(
+            min=0, max=100, metavar="N", help="html: draw moments of the N best rows of each table; default 3."
+        ),
+    ] = None,
+    published: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME", help="html: also quote these published figures; may be repeated."),
     ] = None,
 ) -> None:
     """Print the leaderboard of the records below one or more folders.
@@ -41,18 +53,24 @@ def report(
     Example: surgbench report runs --format markdown --out leaderboard.md
 
     Example: surgbench report runs --plots plots
+
+    Example: surgbench report runs --format html --out report.html
     """
-    from surgbench.errors import ConfigError, SurgbenchError
-    from surgbench.files import write_atomic
-    from surgbench.locks import in_use, locked_beside
+    from surgbench.errors import ConfigError
     from surgbench.report import render
     from surgbench.report.latex import latex
     from surgbench.report.rows import read_rows
 
     if plots is not None:
         _draw_plots(directories, plots, dataset)
-    elif dataset is not None:
-        raise ConfigError("--dataset: is for --plots; a leaderboard needs no dataset")
+    elif dataset is not None and table_format is not TableFormat.html:
+        raise ConfigError("--dataset: is for --plots and --format html; a leaderboard needs no dataset")
+    if table_format is TableFormat.html:
+        _write_page(directories, out, pictures, dataset, published or [])
+        return
+    for option, value in (("--pictures", pictures), ("--published", published)):
+        if value:
+            raise ConfigError(f"{option}: is for --format html")
     rows = read_rows(directories)
     if table_format is TableFormat.table and out is None:
         from rich.console import Console
@@ -63,13 +81,46 @@ def report(
     if out is None:
         sys.stdout.write(text)
         return
+    _write(out, text.encode())
+
+
+def _write(out: Path, data: bytes) -> None:
+    from surgbench.errors import SurgbenchError
+    from surgbench.files import write_atomic
+    from surgbench.locks import in_use, locked_beside
+
     try:
         with locked_beside(out) as ours:
             if not ours:
                 raise in_use(out, "report")
-            write_atomic(out, text.encode())
+            write_atomic(out, data)
     except OSError as error:
         raise SurgbenchError(f"{out}: cannot be written ({error.strerror})") from None
+
+
+def _write_page(
+    directories: list[Path], out: Path | None, pictures: int | None, dataset: Path | None, published: list[str]
+) -> None:
+    """The page; what it has no pictures of goes to standard error."""
+    from surgbench.cli.progress import progress
+    from surgbench.errors import ConfigError
+    from surgbench.records.reader import read_records
+    from surgbench.report.page.build import PICTURED_ROWS, build_page
+
+    if out is None and sys.stdout.isatty():
+        raise ConfigError("--format html: a page is not for the terminal; say where it goes: --out page.html")
+    page = build_page(
+        read_records(directories),
+        progress,
+        pictures=PICTURED_ROWS if pictures is None else pictures,
+        dataset=dataset,
+        published=published,
+        tell=lambda problem: print(problem, file=sys.stderr),
+    )
+    if out is None:
+        sys.stdout.buffer.write(page)
+    else:
+        _write(out, page)
 
 
 def _draw_plots(directories: list[Path], folder: Path, dataset: Path | None) -> None:

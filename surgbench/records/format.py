@@ -23,7 +23,7 @@ FileName = Annotated[str, Field(pattern=r"^[^./\\\x00-\x1f][^/\\\x00-\x1f]*$")]
 class Part(BaseModel):
     """Base of what a report reads of a record."""
 
-    # Records hold more than a report reads (machine, versions, git state); the rest is not its business.
+    # Records hold more than a report reckons with (machine, versions, git state): that is shown as it stands.
     model_config = ConfigDict(frozen=True, extra="ignore", arbitrary_types_allowed=True)
 
 
@@ -87,6 +87,7 @@ class Record(Part):
         calibration_ms: What the reference work took beside the run; ``None`` in records of old versions.
         elapsed_s: From the run's beginning to its end; ``None`` in records of old versions.
         hint: One line on what is odd about the data, or what was made of them.
+        about: All that the file says besides ``frames``, ``errors`` and ``traceback``: machine, versions, seeds.
         whole: Errors that are not of single frames, but of all of them together.
         error_names: All errors that are written.
     """
@@ -105,6 +106,7 @@ class Record(Part):
     calibration_ms: Number = None
     elapsed_s: Number = None
     hint: str | None = None
+    about: dict[str, Any] = {}
     frames: Frames
     errors: dict[str, FloatArray]
 

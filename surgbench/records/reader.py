@@ -23,6 +23,8 @@ R = TypeVar("R", bound=Record)
 
 # As a run calls them: what else is broken beside them is somebody else's.
 _RECORD_NAME = re.compile(r"-r\d+\.json$")
+# Frame by frame, or of no interest to a reader; the rest of a record says what was run, and where.
+_MEASURED = ("frames", "errors", "traceback")
 
 
 def read_record(path: Path) -> Record | None:
@@ -71,7 +73,9 @@ def parse_record(content: dict[str, Any], path: Path) -> Record:
         raise DatasetError(f"{path}: {error}") from None
     try:
         errors = _error_arrays(content.get("errors") or {})
-        return model.model_validate({**content, "frames": content.get("frames") or {}, "errors": errors, "path": path})
+        about = {key: value for key, value in content.items() if key not in _MEASURED}
+        known = {"frames": content.get("frames") or {}, "errors": errors, "path": path, "about": about}
+        return model.model_validate({**content, **known})
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"]) or "record"

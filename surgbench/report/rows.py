@@ -38,6 +38,11 @@ def derive_rows(records: Sequence[Record]) -> list[Row]:
         their hash added to it; two rows of one name that their variants do not tell apart, to their variants
         (:func:`~surgbench.report.telling.telling_variants`).
     """
+    return [row for row, _ in rows_with_records(records)]
+
+
+def rows_with_records(records: Sequence[Record]) -> list[tuple[Row, list[Record]]]:
+    """What :func:`derive_rows` makes, each row with the records that it is of, ordered by unit and repeat."""
     groups: dict[tuple[str, str, str, str], list[Record]] = {}
     for record in sorted(records, key=lambda r: (r.spec.unit, r.spec.repeat, r.spec_hash)):
         spec = record.spec
@@ -48,7 +53,7 @@ def derive_rows(records: Sequence[Record]) -> list[Row]:
         namesakes.setdefault((sha256, row_id, group), []).append(members[0])
     variants = {key: telling_variants(members) for key, members in namesakes.items()}
     names = {record.spec.dataset.sha256: record.spec.dataset.name for record in records}
-    ranked: list[tuple[Any, Row]] = []
+    ranked: list[tuple[Any, Row, list[Record]]] = []
     for (sha256, row_id, settings_hash, group), members in groups.items():
         task = find_task(members[0].spec.task)
         variant = variants[sha256, row_id, group][settings_hash]
@@ -57,9 +62,9 @@ def derive_rows(records: Sequence[Record]) -> list[Row]:
             if list(names.values()).count(row["dataset"]) > 1:
                 row["dataset"] = f"{names[sha256]}@{sha256[:8]}"
         place = _place(task, next(row for row in rows if task.is_whole(row)), group)
-        ranked += [((*place, sha256, row_id, settings_hash), row) for row in rows]
+        ranked += [((*place, sha256, row_id, settings_hash), row, members) for row in rows]
     ranked.sort(key=lambda item: item[0])  # stable: the rows of one run stay in their task's order
-    return [row for _, row in ranked]
+    return [(row, members) for _, row, members in ranked]
 
 
 def hints(records: Sequence[Record]) -> list[str]:

@@ -48,6 +48,13 @@ def test_data_files_are_found() -> None:
         assert packaged_names(folder)
 
 
+def test_files_of_the_report_are_found() -> None:
+    from surgbench.report.page.build import read
+
+    for name in ("page.css", "page.html", "page.js"):
+        assert read(name)
+
+
 def test_plugins_import_the_engine_and_their_siblings_only() -> None:
     """The leaf rule: nothing outside a plug-in folder imports it by name."""
     for module in (ROOT / "surgbench").rglob("*.py"):

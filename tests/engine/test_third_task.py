@@ -59,6 +59,8 @@ def test_it_generates_runs_and_stands_in_the_leaderboard(dataset: Path, tmp_path
     assert rows[0]["count_error"] == 0.0 < rows[1]["count_error"]
     assert "| counter | **0.00** |" in surgbench("report", tmp_path / "runs", "--format", "markdown")
     assert "counter" in surgbench("report", tmp_path / "runs")
+    page = surgbench("report", tmp_path / "runs", "--format", "html")
+    assert "runs of the counting task have no pictures" in page
 
 
 @pytest.mark.slow

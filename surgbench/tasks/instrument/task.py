@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from surgbench.handeye.table import Judged
     from surgbench.report.column import Column
     from surgbench.report.field import Field
+    from surgbench.report.filmed import Filmed
     from surgbench.report.row import Row
     from surgbench.report.video_options import VideoOptions
     from surgbench.reproduce.sheet import Sheet
@@ -178,6 +179,12 @@ class InstrumentTask(Task):
         videos = plan(records, options, dataset)
         with progress("drawing frames", sum(video.frames for video in videos)) as advance:
             return [path for video in videos for path in draw(video, options, out, advance)]
+
+    def filmed(self, record: InstrumentRecord, dataset: Path | None) -> Filmed:
+        """Outlines of what was seen and estimated."""
+        from surgbench.tasks.instrument.filmed import FilmedTracker
+
+        return FilmedTracker(record, dataset)
 
     def hand_eye(
         self,

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from surgbench.conformance.subject import Check
     from surgbench.report.column import Column
     from surgbench.report.field import Field
+    from surgbench.report.filmed import Filmed
     from surgbench.report.row import Row
     from surgbench.report.video_options import VideoOptions
     from surgbench.reproduce.sheet import Sheet
@@ -160,6 +161,12 @@ class ViewpointTask(Task):
         films = plan(records, options, dataset)
         with progress("steps drawn", sum(unit_steps(film) for film in films)) as advance:
             return [path for film in films for path in draw(film, options, out, advance)]
+
+    def filmed(self, record: ViewpointRecord, dataset: Path | None) -> Filmed:
+        """The scene, both eyes, errors and rules."""
+        from surgbench.tasks.viewpoint.film.filmed import FilmedController
+
+        return FilmedController(record, dataset)
 
     def plots(
         self,
