@@ -42,34 +42,30 @@ def report(
 
     Example: surgbench report runs --plots plots
     """
-    from surgbench.errors import ConfigError, SurgbenchError
-    from surgbench.files import write_atomic
-    from surgbench.locks import in_use, locked_beside
-    from surgbench.report import render
+    from surgbench.cli.written import write_text
+    from surgbench.errors import ConfigError
+    from surgbench.records.reader import read_records
+    from surgbench.report import comparison_tables, render
+    from surgbench.report.comparison import compare_records
     from surgbench.report.latex import latex
-    from surgbench.report.rows import read_rows
+    from surgbench.report.rows import derive_rows
 
     if plots is not None:
         _draw_plots(directories, plots, dataset)
     elif dataset is not None:
         raise ConfigError("--dataset: is for --plots; a leaderboard needs no dataset")
-    rows = read_rows(directories)
+    records = read_records(directories)
+    rows = derive_rows(records, intervals=True)
     if table_format is TableFormat.table and out is None:
         from rich.console import Console
 
         render.print_leaderboard(rows, Console())
         return
     text: str = latex(rows) if table_format is TableFormat.latex else getattr(render, table_format.value)(rows)
-    if out is None:
-        sys.stdout.write(text)
-        return
-    try:
-        with locked_beside(out) as ours:
-            if not ours:
-                raise in_use(out, "report")
-            write_atomic(out, text.encode())
-    except OSError as error:
-        raise SurgbenchError(f"{out}: cannot be written ({error.strerror})") from None
+    if table_format is TableFormat.markdown:
+        compared = comparison_tables.markdown(compare_records(records))
+        text += f"\n{compared}" if compared else ""
+    write_text(text, out, "report")
 
 
 def _draw_plots(directories: list[Path], folder: Path, dataset: Path | None) -> None:

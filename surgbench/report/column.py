@@ -20,7 +20,7 @@ class Column:
         scale: Multiplies the value (1000 turns metres into millimetres).
         short: Heading in the terminal's leaderboard, with the unit on a line of its own.
         best: The smallest value of a sound row is marked.
-        from_width: Terminals narrower than this go without it; Markdown shows all.
+        unless_zero: Shown only where a row has something else than 0.
     """
 
     key: str
@@ -30,7 +30,7 @@ class Column:
     scale: float = 1.0
     short: str = ""
     best: bool = False
-    from_width: int = 0
+    unless_zero: bool = False
 
     @property
     def heading(self) -> str:
@@ -56,5 +56,5 @@ class Column:
 
 
 ROW = Column("row_id", "row", short="row")
-VARIANT = Column("variant", "variant", short="variant", from_width=120)
+VARIANT = Column("variant", "variant", short="variant")
 STATUS = Column("status", "status", short="status")

@@ -24,7 +24,7 @@ def print_table(definition: Definition, results: Results, console: Console) -> N
         console.print(Text(f"\n{block.heading}", style="bold"))
         # The table's file says which options make a row what it is.
         rows = [
-            {**row, "variant": "not for ranking" if row.get("floor") else ""}
+            {**row, "variant": "not for ranking" if row.get("floor") else None}
             for row in results.rows
             if row["block"] == block.name
         ]

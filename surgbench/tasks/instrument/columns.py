@@ -6,15 +6,16 @@ from dataclasses import replace
 
 from surgbench.metrics import INTERVAL_COVERAGES
 from surgbench.report.column import ROW, VARIANT, Column
+from surgbench.report.losses import SHOWN_LOSSES
 from surgbench.reproduce.over_sequences import FRAMES_PER_SECOND
 from surgbench.tasks.instrument.records import REFERENCE_JOINTS, REFERENCE_KEYPOINTS, REFERENCE_TIPS, SOURCE_ERROR
 
 MASK = Column("mask_error", "mask error", "", 3, short="mask\nerror", best=True)
-TRUE_MASK = Column("mask_error_true", "true mask error", "", 3, short="true\nmask", best=True, from_width=100)
+TRUE_MASK = Column("mask_error_true", "true mask error", "", 3, short="true\nmask", best=True)
 MADE_MASKS = Column(SOURCE_ERROR, "made masks off", "", 3, short="made\nmasks", best=True)
 ROTATION = Column("rotation_error_rad", "rotation", "rad", 3, short="rot.\nrad", best=True)
 TRANSLATION = Column("translation_error_m", "translation", "mm", 2, 1000.0, short="trans.\nmm", best=True)
-TIPS = Column("tip_error_m", "tips", "mm", 2, 1000.0, short="tips\nmm", best=True, from_width=100)
+TIPS = Column("tip_error_m", "tips", "mm", 2, 1000.0, short="tips\nmm", best=True)
 JOINTS = tuple(Column(f"q{n}_error_rad", f"q{n}", "rad", 3, short=f"q{n}\nrad", best=True) for n in (1, 2, 3))
 KEYPOINTS = Column("keypoint_error_px", "keypoints", "px", 1, short="tips\npx", best=True)
 # What papers say of recordings is of the marked tips.
@@ -31,7 +32,7 @@ ABSENT_FRAMES = Column("absent_frames", "without instrument", short="without\nin
 HAND_EYE = (
     Column("handeye_rotation_rad", "hand-eye rotation", "rad", 3, short="arm\nrad", best=True),
     Column("handeye_translation_m", "hand-eye translation", "mm", 2, 1000.0, short="arm\nmm", best=True),
-    Column("lag_frames", "lag of readings", "frames", 1, short="lag\nframes", from_width=100),
+    Column("lag_frames", "lag of readings", "frames", 1, short="lag\nframes"),
 )
 
 COLUMNS = (
@@ -51,9 +52,10 @@ COLUMNS = (
     MARKED_TIPS,
     *READ_JOINTS,
     ABSENT_FRAMES,
-    Column("start_lag_ms", "start lag", "ms", 1, short="start\nlag ms", from_width=130),
+    *SHOWN_LOSSES,
+    Column("start_lag_ms", "start lag", "ms", 1, short="start\nlag ms"),
     Column("latency_ms", "latency", "ms", 1, short="time\nms", best=True),
-    Column("latency_ms_p95", "p95", "ms", 1, short="p95\nms", from_width=100),
+    Column("latency_ms_p95", "p95", "ms", 1, short="p95\nms"),
 )
 
 # Shares of what was said of itself that was right, in blocks of their own where a row has them.

@@ -6,7 +6,7 @@ from surgbench.report.column import Column
 
 TIME = Column("task_time_s", "time", "s", 1, short="done\nin s")
 COLLISIONS = Column("collisions", "collisions", "", 1, short="hits")
-CONTACT = Column("contact_s", "in contact", "s", 1, short="touch\ns", from_width=90)
+CONTACT = Column("contact_s", "in contact", "s", 1, short="touch\ns")
 MEAN_CONTACT = Column("mean_contact_s", "a contact", "s", 2)
 PATH = Column("path_m", "way", "mm", 0, 1e3)
 UNSEEN = Column("unseen_percent", "unseen", "%", 1)
