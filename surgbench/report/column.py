@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -48,11 +49,31 @@ class Column:
             return f"{shown:.1g}"
         return f"{shown:.{self.decimals}f}"
 
+    def cell(self, row: Mapping[str, Any]) -> str:
+        """What a row has of it, as shown."""
+        return self.text(row.get(self.key))
+
     def with_spread(self, value: float | None, spread: float | None) -> str:
         """A value and, where there is one, what it may be off by or spreads by."""
         if value is None or spread is None:
             return self.text(value)
         return f"{self.text(value)} ± {self.text(spread)}"
+
+
+@dataclass(frozen=True)
+class Interval(Column):
+    """Where a mean lies: its key is that of the lower end.
+
+    Attributes:
+        upper: Key of the other end.
+    """
+
+    upper: str = ""
+
+    def cell(self, row: Mapping[str, Any]) -> str:
+        """Both ends."""
+        low, high = row.get(self.key), row.get(self.upper)
+        return NO_VALUE if low is None or high is None else f"{self.text(low)}–{self.text(high)}"
 
 
 ROW = Column("row_id", "row", short="row")

@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 
 from surgbench.report.column import STATUS, VARIANT, Column
-from surgbench.report.leaderboard import Ranking, groups, reason, shown, unsound, variant_tells
+from surgbench.report.leaderboard import Ranking, groups, reason, shown_with_interval, unsound, variant_tells
 from surgbench.report.row import Row
 from surgbench.task import find_task
 
@@ -40,7 +40,10 @@ def latex(rows: Sequence[Row]) -> str:
 
 def _table(title: str, rows: list[Row]) -> str:
     telling = variant_tells(rows)
-    columns, ranking = [column for column in shown(rows) if telling or column is not VARIANT], Ranking(rows)
+    columns, ranking = (
+        [column for column in shown_with_interval(rows) if telling or column is not VARIANT],
+        Ranking(rows),
+    )
     failed = unsound(rows)
     if failed:
         columns.append(STATUS)
@@ -91,5 +94,5 @@ def booktabs(
 
 
 def _cell(column: Column, row: Row, ranking: Ranking) -> str:
-    text = escape(column.text(row.get(column.key)))
+    text = escape(column.cell(row))
     return {1: rf"\textbf{{{text}}}", 2: rf"\underline{{{text}}}"}.get(ranking.place(column, row) or 0, text)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from surgbench.report.column import ROW, Column
-from surgbench.report.row import Row
+from surgbench.report.column import ROW, Column, Interval
+from surgbench.report.row import Row, interval_keys
 from surgbench.task import find_task
 
 
@@ -35,6 +35,23 @@ def shown(rows: list[Row]) -> list[Column]:
         and (column.key != "coverage" or any(row["coverage"] < 1 for row in rows))
         and (column.key not in find_task(rows[0]["task"]).parts or len({row[column.key] for row in rows}) > 1)
     ]
+
+
+def shown_with_interval(rows: list[Row]) -> list[Column]:
+    """The same, and beside the error that a task ranks by where its mean lies, where a row says that."""
+    error = find_task(rows[0]["task"]).ranked_by
+    columns: list[Column] = []
+    for column in shown(rows):
+        columns.append(column)
+        low, high = interval_keys(column.key)
+        if column.key == error and any(row.get(low) is not None for row in rows):
+            columns.append(_interval(column, low, high))
+    return columns
+
+
+def _interval(column: Column, low: str, high: str) -> Interval:
+    short = f"{column.short.partition(chr(10))[0]}\n95 %"
+    return Interval(low, f"{column.name}, 95 % interval", column.unit, column.decimals, column.scale, short, upper=high)
 
 
 class Ranking:

@@ -30,3 +30,8 @@ def pooled(records: Sequence[Record], key: str) -> FloatArray:
     """Values of all frames of some records, without NaN."""
     values = np.array([value for record in records for value in getattr(record.frames, key)], dtype=np.float64)
     return values[~np.isnan(values)]
+
+
+def interval_keys(error: str) -> tuple[str, str]:
+    """What the ends of an error's interval are called."""
+    return f"{error}_low", f"{error}_high"

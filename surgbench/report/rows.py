@@ -13,7 +13,7 @@ from surgbench.processes.reference import REFERENCE_MS
 from surgbench.records.format import SKIPPED, Record
 from surgbench.records.reader import read_records
 from surgbench.report.field import Field, filled, keys, number
-from surgbench.report.row import COMMON_COLUMNS, Row, median, pooled
+from surgbench.report.row import COMMON_COLUMNS, Row, interval_keys, median, pooled
 from surgbench.report.sequence_means import sequence_means
 from surgbench.report.telling import telling_variants
 from surgbench.task import Task, default_task, find_task
@@ -153,11 +153,6 @@ def _interval(records: Sequence[Record], error: str) -> Row:
 
     ends = mean_interval([*sequence_means(records, error).values()]) or (None, None)
     return dict(zip(interval_keys(error), ends, strict=True))
-
-
-def interval_keys(error: str) -> tuple[str, str]:
-    """What the ends of an error's interval are called."""
-    return f"{error}_low", f"{error}_high"
 
 
 def _calibration_ratio(records: Sequence[Record]) -> float | None:

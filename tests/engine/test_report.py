@@ -24,7 +24,7 @@ from surgbench.report.field import keys, number
 from surgbench.report.field import text as field_text
 from surgbench.report.frame import csv_text, read_csv, to_frame, to_rows
 from surgbench.report.latex import escape, latex
-from surgbench.report.leaderboard import shown
+from surgbench.report.leaderboard import shown_with_interval
 from surgbench.report.losses import LOSS_COLUMNS
 from surgbench.report.row import Row
 from surgbench.report.rows import read_rows
@@ -53,14 +53,14 @@ none,truth,dataset,kalman,raw,False,1,,,,,,,,,,,,,,,,,,,,,,,,,,,,,,,,,,0,,,,,,,,
 GOLDEN_MARKDOWN = """\
 ### mini, single arms
 
-| row | variant | sequences | done [%] | mask error | true mask error | rotation [rad] | translation [mm] | tips [mm] \
-| q1 [rad] | q2 [rad] | q3 [rad] | keypoints [px] | time lost [%] | frames to regain | latency [ms] | p95 [ms] \
-| status |
+| row | variant | sequences | done [%] | mask error | mask error, 95 % interval | true mask error | rotation [rad] \
+| translation [mm] | tips [mm] | q1 [rad] | q2 [rad] | q3 [rad] | keypoints [px] | time lost [%] | frames to regain \
+| latency [ms] | p95 [ms] | status |
 | --- | --- | --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: \
-| --- |
-| cmaes | none/truth kalman | 2 | 100 | 0.060 | 0.030 | 0.300 | 3.00 | 6.00 | 0.150 | 0.075 | 0.038 | 3.0 | 8.3 | 1.0 \
-| 12.0 | 14.5 | ok |
-| stuck | none/truth kalman | 1 | 0 | – | – | – | – | – | – | – | – | – | – | – | – | – | failed |
+| ---: | --- |
+| cmaes | none/truth kalman | 2 | 100 | 0.060 | 0.050–0.070 | 0.030 | 0.300 | 3.00 | 6.00 | 0.150 | 0.075 | 0.038 \
+| 3.0 | 8.3 | 1.0 | 12.0 | 14.5 | ok |
+| stuck | none/truth kalman | 1 | 0 | – | – | – | – | – | – | – | – | – | – | – | – | – | – | failed |
 
 - stuck: failed: ValueError: step \\| returned (3,)
 """
@@ -361,7 +361,7 @@ def test_a_table_of_any_width_has_all_columns_each_with_the_rows_name(runs: Path
     assert max(len(line) for line in tables.splitlines()) <= width
     assert failures == "ValueError: step | returned (3,)\n"
     named = [line for line in tables.splitlines() if line.split()[:1] == ["cmaes"]]
-    cells = [column.text(rows[0][column.key]) for column in shown(rows) if column not in (ROW, VARIANT)]
+    cells = [column.cell(rows[0]) for column in shown_with_interval(rows) if column not in (ROW, VARIANT)]
     assert " ".join(" ".join(line.split()[1:]) for line in named) == " ".join([*cells, "none/truth kalman"])
     assert len(named) == len([line for line in tables.splitlines() if line.split()[:1] == ["stuck"]])
 
