@@ -78,4 +78,6 @@ class Interval(Column):
 
 ROW = Column("row_id", "row", short="row")
 VARIANT = Column("variant", "variant", short="variant")
+# Of a frame or step, the median: all that a user waits for, and called the same wherever it is shown.
+LATENCY = Column("latency_ms", "latency", "ms", 1, short="latency\nms", best=True)
 STATUS = Column("status", "status", short="status")
