@@ -106,6 +106,33 @@ def results(made: Path) -> Results:
     return read_results(made / "results" / "tiny")
 
 
+def minimal_table() -> str:
+    """The first table file of the page about them."""
+    page = (Path(__file__).parents[2] / "docs" / "reproduce.md").read_text(encoding="utf-8")
+    return page.partition("This is enough:\n\n```yaml\n")[2].partition("```")[0]
+
+
+def test_a_table_file_need_not_say_much(tmp_path: Path) -> None:
+    (tmp_path / "mine.yaml").write_text(minimal_table(), encoding="utf-8")
+    table = load_table(str(tmp_path / "mine.yaml")).table
+    assert table.task == "instrument"
+    assert (table.quick.runs, table.quick.frames) == (1, 40)
+    assert (table.timing.runs, table.timing.frames) == (1, 100)
+    assert (table.check.runs, table.check.frames) == (16, 100)
+    assert table.blocks[0].quick_sequences == ("000",)
+
+
+@pytest.mark.slow
+def test_the_least_table_file_is_made_and_checked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    text = minimal_table().replace("hybrid", f"{STRANGERS}:Still").replace("cmaes", f"{STRANGERS}:Noisy")
+    (tmp_path / "mine.yaml").write_text(text.replace("preset: mini", "preset: mini, frames: 4"), encoding="utf-8")
+    places = ("--out", tmp_path, "--data", tmp_path / "data", "--jobs", 1)
+    surgbench("reproduce", tmp_path / "mine.yaml", "--quick", *places)
+    surgbench("reproduce", tmp_path / "mine.yaml", *places)
+    surgbench("reproduce", tmp_path / "mine.yaml", "--check", *places)
+    assert "confirmed (2 rows run again, 0 skipped)" in capsys.readouterr().out
+
+
 # --- the files
 
 
