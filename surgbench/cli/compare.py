@@ -59,9 +59,9 @@ def compare(
         draw_ranks(comparisons, diagram)
         print(diagram, file=sys.stderr)
     if comparison_format is ComparisonFormat.table and out is None:
-        from rich.console import Console
+        from surgbench.report.fold import terminal
 
-        comparison_tables.print_comparisons(comparisons, Console())
+        comparison_tables.print_comparisons(comparisons, terminal())
         return
     if comparison_format in (ComparisonFormat.csv, ComparisonFormat.json):
         frame = to_frame(pair_rows(comparisons), PAIR_COLUMNS)

@@ -57,9 +57,9 @@ def report(
     records = read_records(directories)
     rows = derive_rows(records, intervals=True)
     if table_format is TableFormat.table and out is None:
-        from rich.console import Console
+        from surgbench.report.fold import terminal
 
-        render.print_leaderboard(rows, Console())
+        render.print_leaderboard(rows, terminal())
         return
     text: str = latex(rows) if table_format is TableFormat.latex else getattr(render, table_format.value)(rows)
     if table_format is TableFormat.markdown:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -111,6 +112,14 @@ def bands(
                 wider = min(natural[column], widths[place] + spare)
                 spare, widths[place] = spare - wider + widths[place], wider
     return found or [(list(range(kept)), names)]
+
+
+def terminal() -> Console:
+    """Standard output, as wide as it is; Rich itself takes any that is called dumb to have 80 columns."""
+    from rich.console import Console
+
+    size = shutil.get_terminal_size((80, 25))  # of what is no terminal
+    return Console(width=size.columns, height=size.lines)
 
 
 def plain(print_on: Callable[[Console], None], width: int = TABLE_WIDTH) -> str:
