@@ -55,7 +55,7 @@ def report(
     elif dataset is not None:
         raise ConfigError("--dataset: is for --plots; a leaderboard needs no dataset")
     records = read_records(directories)
-    rows = derive_rows(records, intervals=True)
+    rows = derive_rows(records, reported=True)
     if table_format is TableFormat.table and out is None:
         from surgbench.report.fold import terminal
 

@@ -199,6 +199,8 @@ def _check(definition: Definition, folder: Path, data: Path, workers: int, maker
     for verdict in verdicts:
         chosen = verdict.chosen
         print(f"{verdict.outcome:10} {chosen.row.id} {chosen.unit}: {verdict.detail}")
+        if verdict.latency is not None:
+            print(f"{'':10} {verdict.latency}")
     bad = [verdict for verdict in verdicts if not verdict.good]
     ran = [verdict for verdict in verdicts if verdict.outcome != "skipped"]
     if problems or bad or not ran:

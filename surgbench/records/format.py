@@ -85,6 +85,7 @@ class Record(Part):
         dataset_frames: Frames of all units of the dataset; ``None`` in records of old versions.
         floor: The filter knew the truth.
         calibration_ms: What the reference work took beside the run; ``None`` in records of old versions.
+        environment: Versions, git state and machine (:func:`surgbench.suite.environment.environment`).
         hint: One line on what is odd about the data, or what was made of them.
         whole: Errors that are not of single frames, but of all of them together.
         error_names: All errors that are written.
@@ -102,12 +103,20 @@ class Record(Part):
     dataset_frames: int | None = None
     floor: bool = False
     calibration_ms: Number = None
+    environment: Any = None
     hint: str | None = None
     frames: Frames
     errors: dict[str, FloatArray]
 
     whole: ClassVar[tuple[str, ...]] = ()
     error_names: ClassVar[tuple[str, ...]] = ()
+
+    @property
+    def processor(self) -> str | None:
+        """Model of the processor that it was made on; ``None`` where it does not say."""
+        machine = self.environment.get("machine") if isinstance(self.environment, dict) else None
+        found = machine.get("processor") if isinstance(machine, dict) else None
+        return found if isinstance(found, str) else None
 
     @model_validator(mode="after")
     def _errors_match(self) -> Record:

@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 
 from surgbench.report.column import STATUS, VARIANT, Column
-from surgbench.report.leaderboard import Ranking, groups, reason, shown_with_interval, unsound, variant_tells
+from surgbench.report.leaderboard import Ranking, groups, reason, set_columns, unsound, variant_tells
 from surgbench.report.row import Row
 from surgbench.task import find_task
 
@@ -41,7 +41,7 @@ def latex(rows: Sequence[Row]) -> str:
 def _table(title: str, rows: list[Row]) -> str:
     telling = variant_tells(rows)
     columns, ranking = (
-        [column for column in shown_with_interval(rows) if telling or column is not VARIANT],
+        [column for column in set_columns(rows) if telling or column is not VARIANT],
         Ranking(rows),
     )
     failed = unsound(rows)

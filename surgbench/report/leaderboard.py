@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from surgbench.report.column import ROW, Column, Interval
-from surgbench.report.row import Row, interval_keys
+from surgbench.report.column import LATENCY, ROW, Column, Interval
+from surgbench.report.row import PROCESSOR, REFERENCE_LATENCY, Row, interval_keys
 from surgbench.task import find_task
 
 
@@ -37,8 +37,12 @@ def shown(rows: list[Row]) -> list[Column]:
     ]
 
 
-def shown_with_interval(rows: list[Row]) -> list[Column]:
-    """The same, and beside the error that a task ranks by where its mean lies, where a row says that."""
+def set_columns(rows: list[Row]) -> list[Column]:
+    """The same as tables are set: with where the mean of the error lies that a task ranks by, where a row says that.
+
+    Rows of several processors have what their latencies would be on the reference machine, too.
+    """
+    several = len({row.get(PROCESSOR) for row in rows} - {None}) > 1
     error = find_task(rows[0]["task"]).ranked_by
     columns: list[Column] = []
     for column in shown(rows):
@@ -46,7 +50,13 @@ def shown_with_interval(rows: list[Row]) -> list[Column]:
         low, high = interval_keys(column.key)
         if column.key == error and any(row.get(low) is not None for row in rows):
             columns.append(_interval(column, low, high))
+        if column.key == LATENCY.key and several:
+            columns += [_REFERENCE, _PROCESSOR]
     return columns
+
+
+_REFERENCE = Column(REFERENCE_LATENCY, "latency on the reference machine", "ms", 1, short="on ref.\nmachine")
+_PROCESSOR = Column(PROCESSOR, "processor", short="processor")
 
 
 def _interval(column: Column, low: str, high: str) -> Interval:

@@ -14,9 +14,9 @@ from surgbench.report.column import ROW, STATUS, VARIANT
 from surgbench.report.field import keys
 from surgbench.report.fold import TABLE_WIDTH, Head, plain, print_folded
 from surgbench.report.frame import csv_text, json_list, to_frame, to_rows
-from surgbench.report.leaderboard import Ranking, groups, reason, shown_with_interval, unsound, variant_tells
+from surgbench.report.leaderboard import Ranking, groups, reason, set_columns, unsound, variant_tells
 from surgbench.report.markdown import escape, markdown_table
-from surgbench.report.row import Row
+from surgbench.report.row import PROCESSOR, Row
 from surgbench.report.rows import columns as columns_of
 from surgbench.task import find_task
 
@@ -45,7 +45,7 @@ def markdown(rows: Sequence[Row]) -> str:
     """One table per dataset and number of arms, and a line for every failure."""
     parts = []
     for title, group in groups([row for row in rows if find_task(row["task"]).on_page(row)]):
-        columns, ranking = shown_with_interval(group), Ranking(group)
+        columns, ranking = set_columns(group), Ranking(group)
         failed = unsound(group)
         if failed:
             columns.append(STATUS)
@@ -79,10 +79,10 @@ def print_leaderboard(rows: Sequence[Row], console: Console) -> None:
     from rich.text import Text
 
     for title, group in groups([row for row in rows if find_task(row["task"]).is_whole(row)]):
-        columns, ranking = shown_with_interval(group), Ranking(group)
+        columns, ranking = set_columns(group), Ranking(group)
         if VARIANT in columns and not variant_tells(group):  # it is long, and the least that is looked for
             columns = [*(column for column in columns if column is not VARIANT), VARIANT]
-        heads = [Head(column.short, is_text=column in (ROW, VARIANT)) for column in columns]
+        heads = [Head(column.short, is_text=column in (ROW, VARIANT) or column.key == PROCESSOR) for column in columns]
         lines = [
             [Text(column.cell(row), style="bold" if ranking.place(column, row) == 1 else "") for column in columns]
             for row in group

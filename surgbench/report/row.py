@@ -20,6 +20,10 @@ COMMON_COLUMNS = (
     *number("latency_masks_ms", "latency_filter_ms", "calibration_ratio"),
 )
 
+# Of reports, where they are known: latencies of other machines beside each other.
+REFERENCE_LATENCY, PROCESSOR = "latency_reference_ms", "processor"
+MACHINE_COLUMNS = (*number(REFERENCE_LATENCY), *text(PROCESSOR))
+
 
 def median(values: FloatArray) -> float | None:
     """The median; ``None`` of nothing."""

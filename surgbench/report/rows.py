@@ -13,7 +13,16 @@ from surgbench.processes.reference import REFERENCE_MS
 from surgbench.records.format import SKIPPED, Record
 from surgbench.records.reader import read_records
 from surgbench.report.field import Field, filled, keys, number
-from surgbench.report.row import COMMON_COLUMNS, Row, interval_keys, median, pooled
+from surgbench.report.row import (
+    COMMON_COLUMNS,
+    MACHINE_COLUMNS,
+    PROCESSOR,
+    REFERENCE_LATENCY,
+    Row,
+    interval_keys,
+    median,
+    pooled,
+)
 from surgbench.report.sequence_means import sequence_means
 from surgbench.report.telling import telling_variants
 from surgbench.task import Task, default_task, find_task
@@ -25,15 +34,17 @@ def read_rows(directories: Iterable[Path]) -> list[Row]:
     Raises:
         DatasetError: A folder has no records, or one of them is damaged.
     """
-    return derive_rows(read_records(directories), intervals=True)
+    return derive_rows(read_records(directories), reported=True)
 
 
-def derive_rows(records: Sequence[Record], intervals: bool = False) -> list[Row]:
+def derive_rows(records: Sequence[Record], reported: bool = False) -> list[Row]:
     """Rows per dataset, row id, settings and group (:meth:`surgbench.task.Task.group`), one or several each.
 
     Args:
         records: In any order; it does not matter.
-        intervals: Also the 95 % interval of the error that a task ranks by, over sequences, in the row of a whole run.
+        reported: With what reports have and reproduced tables have not: the 95 % interval of the error that a task
+            ranks by, over sequences, in the row of a whole run; the processor, and latencies as the reference machine
+            would have them, in all.
 
     Returns:
         Rows with the columns of their tasks, ``None`` where there is no value; by dataset and group, sound rows, then
@@ -41,7 +52,7 @@ def derive_rows(records: Sequence[Record], intervals: bool = False) -> list[Row]
         their hash added to it; two rows of one name that their variants do not tell apart, to their variants
         (:func:`~surgbench.report.telling.telling_variants`).
     """
-    return [row for run in derive_runs(records, intervals) for row in run.rows]
+    return [row for run in derive_runs(records, reported) for row in run.rows]
 
 
 @dataclass(frozen=True)
@@ -64,7 +75,7 @@ class RowRuns:
         return next(row for row in self.rows if self.task.is_whole(row))
 
 
-def derive_runs(records: Sequence[Record], intervals: bool = False) -> list[RowRuns]:
+def derive_runs(records: Sequence[Record], reported: bool = False) -> list[RowRuns]:
     """The rows of :func:`derive_rows` with the records that each is made of, in the same order."""
     groups: dict[tuple[str, str, str, str], list[Record]] = {}
     for record in sorted(records, key=lambda r: (r.spec.unit, r.spec.repeat, r.spec_hash)):
@@ -84,7 +95,9 @@ def derive_runs(records: Sequence[Record], intervals: bool = False) -> list[RowR
         for row in run.rows:
             if list(names.values()).count(row["dataset"]) > 1:
                 row["dataset"] = f"{names[sha256]}@{sha256[:8]}"
-        if intervals and task.ranked_by is not None:
+        if reported:
+            _add_machine(run.rows, members)
+        if reported and task.ranked_by is not None:
             run.whole.update(_interval(members, task.ranked_by))
         ranked.append(((*_place(task, run.whole, group), sha256, row_id, settings_hash), run))
     ranked.sort(key=lambda item: item[0])
@@ -104,7 +117,7 @@ def columns(rows: Sequence[Row]) -> tuple[Field, ...]:
 
 def _further(task: Task) -> tuple[Field, ...]:
     ends = () if task.ranked_by is None else number(*interval_keys(task.ranked_by))
-    return (*task.further_columns, *ends)
+    return (*task.further_columns, *ends, *MACHINE_COLUMNS)
 
 
 def _place(task: Task, row: Row, group: str) -> tuple[Any, ...]:
@@ -153,6 +166,16 @@ def _interval(records: Sequence[Record], error: str) -> Row:
 
     ends = mean_interval([*sequence_means(records, error).values()]) or (None, None)
     return dict(zip(interval_keys(error), ends, strict=True))
+
+
+def _add_machine(rows: Iterable[Row], records: Sequence[Record]) -> None:
+    """Where rows were made, and what their latencies would be on the reference machine, as far as it is known."""
+    processors = sorted({record.processor for record in records if record.processor is not None})
+    for row in rows:
+        if processors:
+            row[PROCESSOR] = " and ".join(processors)
+        if row["latency_ms"] is not None and row["calibration_ratio"]:
+            row[REFERENCE_LATENCY] = row["latency_ms"] / row["calibration_ratio"]
 
 
 def _calibration_ratio(records: Sequence[Record]) -> float | None:

@@ -24,7 +24,7 @@ from surgbench.report.field import keys, number
 from surgbench.report.field import text as field_text
 from surgbench.report.frame import csv_text, read_csv, to_frame, to_rows
 from surgbench.report.latex import escape, latex
-from surgbench.report.leaderboard import shown_with_interval
+from surgbench.report.leaderboard import set_columns
 from surgbench.report.losses import LOSS_COLUMNS
 from surgbench.report.row import Row
 from surgbench.report.rows import read_rows
@@ -135,6 +135,33 @@ def test_the_calibration_ratio_is_the_median_of_the_records_by_the_reference_mac
     records = [record(unit=unit, calibration_ms=ratio and ratio * REFERENCE_MS) for unit, ratio in times.items()]
     row = only(read_rows([write(tmp_path / "new", *records)]))
     assert row["calibration_ratio"] == pytest.approx(2.5)
+
+
+def made_on(processor: str, ratio: float, **axes: Any) -> dict[str, Any]:
+    machine = {"processor": processor, "cores": 2}
+    return record(**axes) | {"environment": {"machine": machine}, "calibration_ms": ratio * REFERENCE_MS}
+
+
+def test_latencies_of_two_machines_stand_beside_each_other(tmp_path: Path) -> None:
+    slow, fast = made_on("Old", 2.0, row_id="a", frames=3), made_on("New", 0.5, row_id="b", frames=3)
+    rows = read_rows([write(tmp_path / "both", slow, fast)])
+    assert {row["row_id"]: row["latency_reference_ms"] for row in rows} == {"a": 5.5, "b": 22.0}
+    assert {row["row_id"]: row["processor"] for row in rows} == {"a": "Old", "b": "New"}
+    assert "latency_reference_ms,processor\n" in render.csv(rows)
+    assert "| latency [ms] | latency on the reference machine [ms] | processor |" in render.markdown(rows)
+    assert "| **11.0** | 5.5 | Old |" in render.markdown(rows)
+    assert "Old" in render.table(rows, width=40)
+    # Of one machine there is nothing to compare.
+    alone = read_rows([write(tmp_path / "one", slow)])
+    assert "reference machine" not in render.markdown(alone)
+    mixed = only(read_rows([write(tmp_path / "mixed", slow, made_on("New", 1.0, row_id="a", unit="001-left"))]))
+    assert mixed["processor"] == "New and Old"
+
+
+@pytest.mark.parametrize("environment", [None, [], {"machine": 3}, {"machine": {"processor": ["x"]}}])
+def test_whatever_a_record_says_of_its_machine(tmp_path: Path, environment: Any) -> None:
+    row = only(read_rows([write(tmp_path, record() | {"environment": environment})]))
+    assert "processor" not in row
 
 
 def test_lags_and_the_filters_time_are_in_rows_of_new_records_only(tmp_path: Path) -> None:
@@ -361,7 +388,7 @@ def test_a_table_of_any_width_has_all_columns_each_with_the_rows_name(runs: Path
     assert max(len(line) for line in tables.splitlines()) <= width
     assert failures == "ValueError: step | returned (3,)\n"
     named = [line for line in tables.splitlines() if line.split()[:1] == ["cmaes"]]
-    cells = [column.cell(rows[0]) for column in shown_with_interval(rows) if column not in (ROW, VARIANT)]
+    cells = [column.cell(rows[0]) for column in set_columns(rows) if column not in (ROW, VARIANT)]
     assert " ".join(" ".join(line.split()[1:]) for line in named) == " ".join([*cells, "none/truth kalman"])
     assert len(named) == len([line for line in tables.splitlines() if line.split()[:1] == ["stuck"]])
 

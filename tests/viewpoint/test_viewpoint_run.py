@@ -20,7 +20,7 @@ from surgbench.generators.resumable import generate
 from surgbench.processes.child import Child
 from surgbench.report.column import ROW, VARIANT
 from surgbench.report.field import keys
-from surgbench.report.leaderboard import shown_with_interval
+from surgbench.report.leaderboard import set_columns
 from surgbench.report.render import table
 from surgbench.report.rows import read_rows
 from surgbench.reproduce.load import load_table
@@ -194,7 +194,7 @@ def test_the_table_of_any_width_has_every_column_and_each_line_its_name(runs: Pa
     assert max(map(len, text.splitlines())) <= width
     for row in rows:
         named = " ".join(line for line in text.splitlines() if line.split()[:1] == [row["row_id"]])
-        cells = [column.cell(row) for column in shown_with_interval(rows) if column not in (ROW, VARIANT)]
+        cells = [column.cell(row) for column in set_columns(rows) if column not in (ROW, VARIANT)]
         assert [word for word in named.split() if word != row["row_id"]][: len(cells)] == cells
 
 
