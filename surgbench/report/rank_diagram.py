@@ -102,7 +102,9 @@ def _draw(axes: Axes, title: str, ranks: Ranks) -> None:
     axes.plot([1, 1 + reach], [-1.6, -1.6], color="black", linewidth=1.5, marker="|", clip_on=False)
     axes.text(1 + reach, -1.6, f"  critical difference {ranks.critical_difference:.2f}", va="center", fontsize=8)
     for level, (low, high) in enumerate(joined, start=1):
-        axes.plot([low - 0.02 * count, high + 0.02 * count], [level - 0.35] * 2, color="#0072B2", linewidth=3.5)
+        # Hardly beyond the first and the last, or a bar would touch a row that it does not join.
+        ends = [low - 0.004 * count, high + 0.004 * count]
+        axes.plot(ends, [level - 0.35] * 2, color="#0072B2", linewidth=3.5, solid_capstyle="butt")
     for place, name in enumerate(names):
         left = place < _half(ranks)
         height = first_name + (place if left else count - 1 - place)
