@@ -32,6 +32,7 @@ if TYPE_CHECKING:
         translation_error_scaled,
     )
     from surgbench.objective import LossWeights, Objective
+    from surgbench.report.comparison import compare
     from surgbench.report.notebook import leaderboard, load_records
     from surgbench.silhouette import SilhouetteEvaluator
     from surgbench.state import StateSpace
@@ -55,6 +56,7 @@ __all__ = [
     "ViewpointTracker",
     "__version__",
     "choose_twin",
+    "compare",
     "frames_to_recover",
     "interval_coverages",
     "jitter",
@@ -95,6 +97,7 @@ _NAMES_IN = {
         "translation_error_scaled",
     ),
     "surgbench.objective": ("LossWeights", "Objective"),
+    "surgbench.report.comparison": ("compare",),
     "surgbench.report.notebook": ("leaderboard", "load_records"),
     "surgbench.silhouette": ("SilhouetteEvaluator",),
     "surgbench.state": ("StateSpace",),

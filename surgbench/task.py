@@ -63,6 +63,8 @@ class Task(ABC):
             are part of what records depend on; what only plans, writes and shows is not. Where none are named, all
             modules of its package are.
         parts: Columns that tell apart several rows of one run, and their values in the row that stands for the whole.
+        ranked_by: The error of its records that rows are ranked by, and compared by; ``None`` where it is no error of
+            theirs.
         first_check: The check that a tracker must get through before it is put to the others.
         may_refuse: Checks that a tracker may answer with a :class:`~surgbench.errors.SurgbenchError`: it does not do
             this.
@@ -74,6 +76,7 @@ class Task(ABC):
     default: ClassVar[bool] = False
     made_by: ClassVar[tuple[str, ...]] = ()
     parts: ClassVar[Mapping[str, Any]] = {}
+    ranked_by: ClassVar[str | None] = None
     first_check: ClassVar[str] = ""
     may_refuse: ClassVar[tuple[str, ...]] = ()
     aids: ClassVar[tuple[str, ...]] = ()
@@ -215,9 +218,10 @@ class Task(ABC):
         """What stands over the rows of a dataset and group."""
         return self.name
 
-    @abstractmethod
     def rank(self, row: Row) -> float | None:
-        """What rows are ranked by, less is better."""
+        """What rows are ranked by, less is better: unless told, their ``ranked_by``."""
+        error: float | None = None if self.ranked_by is None else row[self.ranked_by]
+        return error
 
     def on_page(self, row: Row) -> bool:
         """Whether a row stands in a Markdown table, or in files only."""

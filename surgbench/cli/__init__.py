@@ -15,6 +15,7 @@ from typer.core import TyperGroup
 from surgbench.caches import settle_caches
 from surgbench.cli.bench import bench_app
 from surgbench.cli.check import tracker
+from surgbench.cli.compare import compare
 from surgbench.cli.convert import convert_app
 from surgbench.cli.export import export
 from surgbench.cli.generate import generate
@@ -126,6 +127,7 @@ app.add_typer(import_app, name="import")
 app.command("validate")(validate)
 app.command("run")(with_options(run, {}, "asked"))  # for the list of commands
 app.command("report")(report)
+app.command("compare")(compare)
 app.command("reproduce")(reproduce)
 app.command("video")(video)
 app.command("export")(export)

@@ -43,10 +43,9 @@ def carry_out(
     Returns:
         Whether a run was sound, or there was none to be made.
     """
-    from rich.console import Console
-
     from surgbench.records.format import SKIPPED
     from surgbench.records.reader import read_records
+    from surgbench.report.fold import terminal
     from surgbench.report.render import print_leaderboard
     from surgbench.report.rows import derive_rows, hints
     from surgbench.suite.perform import ThisMachine
@@ -94,6 +93,6 @@ def carry_out(
     asked_for = [record for record in read_records([out]) if record.spec_hash in {job.hash for job in planned}]
     for line in hints(asked_for):
         print(line, file=sys.stderr)
-    print_leaderboard(derive_rows(asked_for), Console())
+    print_leaderboard(derive_rows(asked_for), terminal())
     print(out)
     return not failures or len(failures) < len(plan.todo) - plan.skipped

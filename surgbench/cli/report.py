@@ -56,10 +56,13 @@ def report(
 
     Example: surgbench report runs --format html --out report.html
     """
+    from surgbench.cli.written import write_text
     from surgbench.errors import ConfigError
-    from surgbench.report import render
+    from surgbench.records.reader import read_records
+    from surgbench.report import comparison_tables, render
+    from surgbench.report.comparison import compare_records
     from surgbench.report.latex import latex
-    from surgbench.report.rows import read_rows
+    from surgbench.report.rows import derive_rows
 
     if plots is not None:
         _draw_plots(directories, plots, dataset)
@@ -71,31 +74,18 @@ def report(
     for option, value in (("--pictures", pictures), ("--published", published)):
         if value:
             raise ConfigError(f"{option}: is for --format html")
-    rows = read_rows(directories)
+    records = read_records(directories)
+    rows = derive_rows(records, reported=True)
     if table_format is TableFormat.table and out is None:
-        from rich.console import Console
+        from surgbench.report.fold import terminal
 
-        render.print_leaderboard(rows, Console())
+        render.print_leaderboard(rows, terminal())
         return
     text: str = latex(rows) if table_format is TableFormat.latex else getattr(render, table_format.value)(rows)
-    if out is None:
-        sys.stdout.write(text)
-        return
-    _write(out, text.encode())
-
-
-def _write(out: Path, data: bytes) -> None:
-    from surgbench.errors import SurgbenchError
-    from surgbench.files import write_atomic
-    from surgbench.locks import in_use, locked_beside
-
-    try:
-        with locked_beside(out) as ours:
-            if not ours:
-                raise in_use(out, "report")
-            write_atomic(out, data)
-    except OSError as error:
-        raise SurgbenchError(f"{out}: cannot be written ({error.strerror})") from None
+    if table_format is TableFormat.markdown:
+        compared = comparison_tables.markdown(compare_records(records))
+        text += f"\n{compared}" if compared else ""
+    write_text(text, out, "report")
 
 
 def _write_page(
@@ -103,6 +93,7 @@ def _write_page(
 ) -> None:
     """The page; what it has no pictures of goes to standard error."""
     from surgbench.cli.progress import progress
+    from surgbench.cli.written import write_text
     from surgbench.errors import ConfigError
     from surgbench.records.reader import read_records
     from surgbench.report.page.build import PICTURED_ROWS, build_page
@@ -117,10 +108,7 @@ def _write_page(
         published=published,
         tell=lambda problem: print(problem, file=sys.stderr),
     )
-    if out is None:
-        sys.stdout.buffer.write(page)
-    else:
-        _write(out, page)
+    write_text(page, out, "report")
 
 
 def _draw_plots(directories: list[Path], folder: Path, dataset: Path | None) -> None:

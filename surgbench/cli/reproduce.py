@@ -81,10 +81,9 @@ def reproduce(
     runs a part of it again that its hash and the git commit choose, and ends with exit code 1 where it comes out
     differently. A run that fails makes exit code 1 too.
     """
-    from rich.console import Console
-
     from surgbench.config import is_file
     from surgbench.errors import ConfigError
+    from surgbench.report.fold import terminal
     from surgbench.reproduce.load import ToldMasks, load_table
     from surgbench.reproduce.make import render as render_page
     from surgbench.reproduce.make import reproduce as make_table
@@ -111,7 +110,7 @@ def reproduce(
         print(render_page(definition, folder))
         return
     results, failures = make_table(definition, place, data, workers, quick, maker, _Watcher(), row or ())
-    print_table(definition, results, Console())
+    print_table(definition, results, terminal())
     for failure in failures:
         print(failure, file=sys.stderr)
     print(folder)
@@ -201,6 +200,8 @@ def _check(definition: Definition, folder: Path, data: Path, workers: int, maker
     for verdict in verdicts:
         chosen = verdict.chosen
         print(f"{verdict.outcome:10} {chosen.row.id} {chosen.unit}: {verdict.detail}")
+        if verdict.latency is not None:
+            print(f"{'':10} {verdict.latency}")
     bad = [verdict for verdict in verdicts if not verdict.good]
     ran = [verdict for verdict in verdicts if verdict.outcome != "skipped"]
     if problems or bad or not ran:

@@ -37,14 +37,13 @@ def score(
     A row per arm and frame: sequence, arm, frame; x_m, y_m, z_m and qw, qx, qy, qz of the wrist-pitch frame in the
     camera's; q1_rad, q2_rad, q3_rad. Other forms and units: docs/exchange.md.
     """
-    from rich.console import Console
-
     from surgbench.cli.progress import progress
     from surgbench.config import parse_model
     from surgbench.dataset.open import open_dataset
     from surgbench.errors import ConfigError
     from surgbench.kinds import NAME_PATTERN
     from surgbench.records.reader import read_records
+    from surgbench.report.fold import terminal
     from surgbench.report.render import print_leaderboard
     from surgbench.report.rows import derive_rows, hints
     from surgbench.suite.asked import FileRequest
@@ -63,5 +62,5 @@ def score(
     scored = [one for one in read_records([out]) if one.spec_hash in hashes]
     for line in hints(scored):
         print(line, file=sys.stderr)
-    print_leaderboard(derive_rows(scored), Console())
+    print_leaderboard(derive_rows(scored), terminal())
     print(out)

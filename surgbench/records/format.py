@@ -113,6 +113,14 @@ class Record(Part):
     whole: ClassVar[tuple[str, ...]] = ()
     error_names: ClassVar[tuple[str, ...]] = ()
 
+    @property
+    def processor(self) -> str | None:
+        """Model of the processor that it was made on; ``None`` where it does not say."""
+        environment = self.about.get("environment")
+        machine = environment.get("machine") if isinstance(environment, dict) else None
+        found = machine.get("processor") if isinstance(machine, dict) else None
+        return found if isinstance(found, str) else None
+
     @model_validator(mode="after")
     def _errors_match(self) -> Record:
         for key, values in self.errors.items():

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.stats import bootstrap
+from scipy.stats import DegenerateDataWarning, bootstrap
 
 from surgbench.geometry import FloatArray
 from surgbench.randomness import generator
@@ -43,7 +45,8 @@ def mean_interval(values: ArrayLike, weights: ArrayLike | None = None) -> tuple[
         return np.asarray((sample * weight).sum(axis=axis) / weight.sum(axis=axis))
 
     for method in ("BCa", "percentile"):  # the second where the first is at a loss: nearly all are alike
-        with np.errstate(invalid="ignore", divide="ignore"):
+        with np.errstate(invalid="ignore", divide="ignore"), warnings.catch_warnings():
+            warnings.simplefilter("ignore", DegenerateDataWarning)
             result = bootstrap(
                 (found, shares),
                 mean,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,7 +21,7 @@ class Column:
         scale: Multiplies the value (1000 turns metres into millimetres).
         short: Heading in the terminal's leaderboard, with the unit on a line of its own.
         best: The smallest value of a sound row is marked.
-        from_width: Terminals narrower than this go without it; Markdown shows all.
+        unless_zero: Shown only where a row has something else than 0.
     """
 
     key: str
@@ -30,7 +31,7 @@ class Column:
     scale: float = 1.0
     short: str = ""
     best: bool = False
-    from_width: int = 0
+    unless_zero: bool = False
 
     @property
     def heading(self) -> str:
@@ -48,6 +49,10 @@ class Column:
             return f"{shown:.1g}"
         return f"{shown:.{self.decimals}f}"
 
+    def cell(self, row: Mapping[str, Any]) -> str:
+        """What a row has of it, as shown."""
+        return self.text(row.get(self.key))
+
     def with_spread(self, value: float | None, spread: float | None) -> str:
         """A value and, where there is one, what it may be off by or spreads by."""
         if value is None or spread is None:
@@ -55,6 +60,24 @@ class Column:
         return f"{self.text(value)} ± {self.text(spread)}"
 
 
+@dataclass(frozen=True)
+class Interval(Column):
+    """Where a mean lies: its key is that of the lower end.
+
+    Attributes:
+        upper: Key of the other end.
+    """
+
+    upper: str = ""
+
+    def cell(self, row: Mapping[str, Any]) -> str:
+        """Both ends."""
+        low, high = row.get(self.key), row.get(self.upper)
+        return NO_VALUE if low is None or high is None else f"{self.text(low)}–{self.text(high)}"
+
+
 ROW = Column("row_id", "row", short="row")
-VARIANT = Column("variant", "variant", short="variant", from_width=120)
+VARIANT = Column("variant", "variant", short="variant")
+# Of a frame or step, the median: all that a user waits for, and called the same wherever it is shown.
+LATENCY = Column("latency_ms", "latency", "ms", 1, short="latency\nms", best=True)
 STATUS = Column("status", "status", short="status")

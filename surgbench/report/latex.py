@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 
 from surgbench.report.column import STATUS, VARIANT, Column
-from surgbench.report.leaderboard import Ranking, groups, reason, shown, unsound
+from surgbench.report.leaderboard import Ranking, groups, reason, set_columns, unsound, variant_tells
 from surgbench.report.row import Row
 from surgbench.task import find_task
 
@@ -39,31 +39,54 @@ def latex(rows: Sequence[Row]) -> str:
 
 
 def _table(title: str, rows: list[Row]) -> str:
-    telling = VARIANT in shown(rows, 0)
-    columns, ranking = [column for column in shown(rows) if telling or column is not VARIANT], Ranking(rows)
+    telling = variant_tells(rows)
+    columns, ranking = (
+        [column for column in set_columns(rows) if telling or column is not VARIANT],
+        Ranking(rows),
+    )
     failed = unsound(rows)
     if failed:
         columns.append(STATUS)
     letters = "".join("l" if column.decimals is None else "r" for column in columns)
-    names = " & ".join(escape(column.name) for column in columns)
-    units = " & ".join(f"[{escape(column.unit)}]" if column.unit else "" for column in columns)
-    cells = [" & ".join(_cell(column, row, ranking) for column in columns) for row in rows]
-    label = re.sub(r"[^a-z0-9]+", "-", title.lower()).strip("-")
+    names = [escape(column.name) for column in columns]
+    units = [f"[{escape(column.unit)}]" if column.unit else "" for column in columns]
+    lines = [[_cell(column, row, ranking) for column in columns] for row in rows]
+    return booktabs(title, title, letters, [names, units], lines, [reason(row) for row in failed])
+
+
+def booktabs(
+    caption: str,
+    name: str,
+    letters: str,
+    head: Sequence[Sequence[str]],
+    lines: Sequence[Sequence[str]],
+    remarks: Sequence[str] = (),
+) -> str:
+    """A ``table`` environment.
+
+    Args:
+        caption: Plain text.
+        name: Plain text that its label is made of.
+        letters: How each column stands, ``lr``.
+        head: Lines over the rule, of cells that are LaTeX already.
+        lines: Lines below it.
+        remarks: Plain text; comments in the source.
+    """
+    label = re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-")
     return "\n".join(
         [
             r"\begin{table}",
             r"  \centering",
-            rf"  \caption{{{escape(title)}}}",
+            rf"  \caption{{{escape(caption)}}}",
             rf"  \label{{tab:{label}}}",
             rf"  \begin{{tabular}}{{{letters}}}",
             r"    \toprule",
-            rf"    {names} \\",
-            rf"    {units} \\",
+            *(rf"    {' & '.join(cells)} \\" for cells in head),
             r"    \midrule",
-            *(rf"    {line} \\" for line in cells),
+            *(rf"    {' & '.join(cells)} \\" for cells in lines),
             r"    \bottomrule",
             r"  \end{tabular}",
-            *(f"  % {escape(reason(row))}" for row in failed),
+            *(f"  % {escape(remark)}" for remark in remarks),
             r"\end{table}",
             "",
         ]
@@ -71,5 +94,5 @@ def _table(title: str, rows: list[Row]) -> str:
 
 
 def _cell(column: Column, row: Row, ranking: Ranking) -> str:
-    text = escape(column.text(row.get(column.key)))
+    text = escape(column.cell(row))
     return {1: rf"\textbf{{{text}}}", 2: rf"\underline{{{text}}}"}.get(ranking.place(column, row) or 0, text)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from surgbench.report.column import ROW, VARIANT, Column
-from surgbench.report.row import Row
+from surgbench.report.column import LATENCY, ROW, Column, Interval
+from surgbench.report.row import PROCESSOR, REFERENCE_LATENCY, Row, interval_keys
 from surgbench.task import find_task
 
 
@@ -19,19 +19,49 @@ def groups(rows: Sequence[Row]) -> Iterator[tuple[str, list[Row]]]:
         yield f"{dataset}, {title}", group
 
 
-def shown(rows: list[Row], width: int | None = None) -> list[Column]:
-    """Columns worth their room in ``width`` characters (``None``: any): not those without a value."""
+def variant_tells(rows: list[Row]) -> bool:
+    """Whether rows of one name can be told apart by their variant alone, or a floor be known for what it is."""
     ids = [(row["row_id"], _part(row)) for row in rows]
-    # Rows of one name can be told apart by their variant alone, and a floor must be known for what it is.
-    telling = len(set(ids)) < len(ids) or any(row.get("floor") for row in rows)
+    return len(set(ids)) < len(ids) or any(row.get("floor") for row in rows)
+
+
+def shown(rows: list[Row]) -> list[Column]:
+    """Columns worth their room: not those without a value."""
     return [
         column
         for column in find_task(rows[0]["task"]).shown
-        if (width is None or width >= column.from_width or (column is VARIANT and telling))
-        and (column is ROW or any(row.get(column.key) is not None for row in rows))
+        if (column is ROW or any(row.get(column.key) not in (None, "") for row in rows))
+        and (not column.unless_zero or any(row.get(column.key) for row in rows))
         and (column.key != "coverage" or any(row["coverage"] < 1 for row in rows))
         and (column.key not in find_task(rows[0]["task"]).parts or len({row[column.key] for row in rows}) > 1)
     ]
+
+
+def set_columns(rows: list[Row]) -> list[Column]:
+    """The same as tables are set: with where the mean of the error lies that a task ranks by, where a row says that.
+
+    Rows of several processors have what their latencies would be on the reference machine, too.
+    """
+    several = len({row.get(PROCESSOR) for row in rows} - {None}) > 1
+    error = find_task(rows[0]["task"]).ranked_by
+    columns: list[Column] = []
+    for column in shown(rows):
+        columns.append(column)
+        low, high = interval_keys(column.key)
+        if column.key == error and any(row.get(low) is not None for row in rows):
+            columns.append(_interval(column, low, high))
+        if column.key == LATENCY.key and several:
+            columns += [_REFERENCE, _PROCESSOR]
+    return columns
+
+
+_REFERENCE = Column(REFERENCE_LATENCY, "latency on the reference machine", "ms", 1, short="on ref.\nmachine")
+_PROCESSOR = Column(PROCESSOR, "processor", short="processor")
+
+
+def _interval(column: Column, low: str, high: str) -> Interval:
+    short = f"{column.short.partition(chr(10))[0]}\n95 %"
+    return Interval(low, f"{column.name}, 95 % interval", column.unit, column.decimals, column.scale, short, upper=high)
 
 
 class Ranking:

@@ -6,25 +6,22 @@ millimetres for lengths, the best value of a column in bold.
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from surgbench.records.format import SKIPPED
 from surgbench.report.column import ROW, STATUS, VARIANT
 from surgbench.report.field import keys
+from surgbench.report.fold import TABLE_WIDTH, Head, plain, print_folded
 from surgbench.report.frame import csv_text, json_list, to_frame, to_rows
-from surgbench.report.leaderboard import Ranking, groups, reason, shown, unsound
+from surgbench.report.leaderboard import Ranking, groups, reason, set_columns, unsound, variant_tells
 from surgbench.report.markdown import escape, markdown_table
-from surgbench.report.row import Row
+from surgbench.report.row import PROCESSOR, Row
 from surgbench.report.rows import columns as columns_of
 from surgbench.task import find_task
 
 if TYPE_CHECKING:
     from rich.console import Console
-
-TABLE_WIDTH = 100
-ROW_MIN_WIDTH = 8
 
 
 def csv(rows: Sequence[Row]) -> str:
@@ -48,13 +45,13 @@ def markdown(rows: Sequence[Row]) -> str:
     """One table per dataset and number of arms, and a line for every failure."""
     parts = []
     for title, group in groups([row for row in rows if find_task(row["task"]).on_page(row)]):
-        columns, ranking = shown(group), Ranking(group)
+        columns, ranking = set_columns(group), Ranking(group)
         failed = unsound(group)
         if failed:
             columns.append(STATUS)
         lines = [[column.heading for column in columns]]
         for row in group:
-            cells = [escape(column.text(row.get(column.key))) for column in columns]
+            cells = [escape(column.cell(row)) for column in columns]
             lines.append(
                 [
                     f"**{cell}**" if ranking.place(column, row) == 1 else cell
@@ -68,44 +65,29 @@ def markdown(rows: Sequence[Row]) -> str:
 
 
 def table(rows: Sequence[Row], width: int = TABLE_WIDTH) -> str:
-    """The terminal table as plain text, ``width`` characters wide."""
-    from rich.console import Console
-
-    out = io.StringIO()
-    print_leaderboard(rows, Console(file=out, width=width, color_system=None))
-    return "\n".join(line.rstrip() for line in out.getvalue().splitlines()) + "\n"
+    """The terminal table as plain text, at most ``width`` characters wide."""
+    return plain(lambda console: print_leaderboard(rows, console), width)
 
 
 def print_leaderboard(rows: Sequence[Row], console: Console) -> None:
-    """Print the leaderboard, fitted to the console's width (80 is enough).
+    """Print the leaderboard, folded where the console is narrow.
 
     Args:
         rows: From :func:`surgbench.report.rows.derive_rows`.
         console: Where to.
     """
-    from rich import box
-    from rich.table import Table
     from rich.text import Text
 
     for title, group in groups([row for row in rows if find_task(row["task"]).is_whole(row)]):
-        columns, ranking = shown(group, console.width), Ranking(group)
-        sheet = Table(title=Text(title), title_justify="left", box=box.SIMPLE_HEAD, padding=0, pad_edge=False)
-        for column in columns:
-            is_text = column in (ROW, VARIANT)
-            sheet.add_column(
-                Text(column.short),
-                justify="left" if is_text else "right",
-                no_wrap=not is_text,
-                overflow="fold",
-                min_width=ROW_MIN_WIDTH if is_text else None,
-            )
-        for row in group:
-            cells = [
-                Text(column.text(row.get(column.key)), style="bold" if ranking.place(column, row) == 1 else "")
-                for column in columns
-            ]
-            sheet.add_row(*cells, style=_style(row))
-        console.print(sheet)
+        columns, ranking = set_columns(group), Ranking(group)
+        if VARIANT in columns and not variant_tells(group):  # it is long, and the least that is looked for
+            columns = [*(column for column in columns if column is not VARIANT), VARIANT]
+        heads = [Head(column.short, is_text=column in (ROW, VARIANT) or column.key == PROCESSOR) for column in columns]
+        lines = [
+            [Text(column.cell(row), style="bold" if ranking.place(column, row) == 1 else "") for column in columns]
+            for row in group
+        ]
+        print_folded(title, heads, lines, console, styles=[_style(row) for row in group])
         for row in unsound(group):
             console.print(Text(reason(row), style=_style(row) or ""), soft_wrap=True)
 

@@ -20,6 +20,10 @@ COMMON_COLUMNS = (
     *number("latency_masks_ms", "latency_filter_ms", "calibration_ratio"),
 )
 
+# Of reports, where they are known: latencies of other machines beside each other.
+REFERENCE_LATENCY, PROCESSOR = "latency_reference_ms", "processor"
+MACHINE_COLUMNS = (*number(REFERENCE_LATENCY), *text(PROCESSOR))
+
 
 def median(values: FloatArray) -> float | None:
     """The median; ``None`` of nothing."""
@@ -30,3 +34,8 @@ def pooled(records: Sequence[Record], key: str) -> FloatArray:
     """Values of all frames of some records, without NaN."""
     values = np.array([value for record in records for value in getattr(record.frames, key)], dtype=np.float64)
     return values[~np.isnan(values)]
+
+
+def interval_keys(error: str) -> tuple[str, str]:
+    """What the ends of an error's interval are called."""
+    return f"{error}_low", f"{error}_high"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import statistics
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -14,6 +15,7 @@ from surgbench.dataset.base import Dataset
 from surgbench.dataset.open import open_dataset
 from surgbench.errors import DatasetError
 from surgbench.files import sha256_file
+from surgbench.processes.reference import REFERENCE_MS
 from surgbench.randomness import generator
 from surgbench.records.format import SKIPPED
 from surgbench.reproduce.consistency import inconsistencies
@@ -64,11 +66,13 @@ class Verdict:
         outcome: ``identical`` to the last bit; ``close``: other bits, errors within tolerance; ``differs``:
             beyond it; ``failed``; ``skipped``: this machine lacks something for it.
         detail: One line.
+        latency: What a frame took then and now, one line; ``None`` where that is not known.
     """
 
     chosen: Chosen
     outcome: Outcome
     detail: str
+    latency: str | None = None
 
     @property
     def good(self) -> bool:
@@ -101,6 +105,7 @@ def check(
         watcher.say(problem)
     if problems:
         return problems, []
+    watcher.say(f"made on {processors(results.about)}; run again on {machine_text(environment()['machine'])}")
     commit = (environment()["git"] or {}).get("commit", "none")
     table_sha256 = sha256_file(folder / LEADERBOARD_CSV)
     chosen = choose(definition, results, table_sha256, commit)
@@ -169,7 +174,8 @@ def _run_again(
     verdicts = []
     for one, job in zip(chosen, jobs, strict=True):
         record = json.loads((out / job.path).read_text(encoding="utf-8"))
-        verdicts.append(_judge(one, job, record, dataset, results))
+        judged = _judge(one, job, record, dataset, results)
+        verdicts.append(replace(judged, latency=latency_text(one, record, results)))
     return verdicts
 
 
@@ -197,6 +203,40 @@ def _judge(chosen: Chosen, job: Job, record: dict[str, Any], dataset: Dataset[An
     if chosen.row.frames is None and replace(job.settings, frames_limit=None).hash != settings_hash:
         notes.append("options, or the source of a plug-in or the engine, have changed since the table was made")
     return Verdict(chosen, "differs" if beyond else "close", "; ".join(notes))
+
+
+def processors(about: dict[str, Any]) -> str:
+    """The machines that a table was made on."""
+    return " and ".join(sorted({machine_text(one["machine"]) for one in about["environments"]}))
+
+
+def machine_text(machine: dict[str, Any]) -> str:
+    """A processor and what is known of it besides; records of old versions know less."""
+    more = [machine["vectors"]] if machine.get("vectors") else []
+    if machine.get("threads"):
+        more.append("1 thread" if machine["threads"] == 1 else f"{machine['threads']} threads")
+    return ", ".join([str(machine["processor"]), *more])
+
+
+def latency_text(chosen: Chosen, record: dict[str, Any], results: Results) -> str | None:
+    """Medians of a frame of the row, then and now, also as the reference machine would have them. They are not judged.
+
+    Those of the table are of more frames, one run at a time; a check's runs go on beside each other.
+    """
+    own = (row for row in results.rows if row["row_id"] == chosen.row.id)
+    row = next((row for row in own if find_task(row["task"]).is_whole(row)), None)
+    taken = [value for value in (record["frames"] or {}).get("latency_ms", []) if value is not None]
+    if row is None or row["latency_ms"] is None or not taken:
+        return None
+    calibration = record.get("calibration_ms")
+    now = _latency_words(statistics.median(taken), None if calibration is None else calibration / REFERENCE_MS)
+    return f"latency {now} here, {_latency_words(row['latency_ms'], row['calibration_ratio'])} in the table"
+
+
+def _latency_words(latency_ms: float, ratio: float | None) -> str:
+    if not ratio:
+        return f"{latency_ms:.3g} ms"
+    return f"{latency_ms:.3g} ms (calibration ratio {ratio:.2f}: {latency_ms / ratio:.3g} ms on the reference machine)"
 
 
 def beyond_tolerance(

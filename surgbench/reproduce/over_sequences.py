@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Sequence
 
 import numpy as np
 
 from surgbench.records.format import Record
 from surgbench.report.row import Row
+from surgbench.report.sequence_means import sequence_means
 
 FRAMES_PER_SECOND = "frames_per_second"
 SUFFIX = "_std_sequences"
@@ -29,30 +29,19 @@ def spread_over_sequences(columns: Sequence[str], records: Sequence[Record], tim
     row: Row = {}
     for column in columns:
         if column == FRAMES_PER_SECOND:
-            means = _of_sequences(timing, _rate)
+            means = _rates(timing)
             row[column] = float(np.mean(means)) if means else None
         else:
-            means = _of_sequences(records, partial(_mean, column))
+            means = list(sequence_means(records, column).values())
         row[column + SUFFIX] = float(np.std(means, ddof=1)) if len(means) > 1 else None
     return row
 
 
-def _of_sequences(records: Sequence[Record], value: Callable[[Record], float | None]) -> list[float]:
-    """One value for each unit: the mean over its repeats."""
+def _rates(records: Sequence[Record]) -> list[float]:
+    """Frames per second of each unit: the mean over its repeats."""
     of_units: dict[str, list[float]] = {}
     for record in records:
-        found = value(record)
-        if found is not None:
-            of_units.setdefault(record.spec.unit, []).append(found)
+        times = np.array([time for time in getattr(record.frames, "latency_ms", []) if time is not None])
+        if times.size:
+            of_units.setdefault(record.spec.unit, []).append(float(1e3 / times.mean()))
     return [float(np.mean(values)) for values in of_units.values()]
-
-
-def _mean(error: str, record: Record) -> float | None:
-    values = record.errors.get(error, np.array([]))
-    known = values[~np.isnan(values)]
-    return float(known.mean()) if known.size else None
-
-
-def _rate(record: Record) -> float | None:
-    times = np.array([time for time in getattr(record.frames, "latency_ms", []) if time is not None])
-    return float(1e3 / times.mean()) if times.size else None

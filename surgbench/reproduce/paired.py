@@ -13,6 +13,8 @@ import numpy as np
 from surgbench.report.bootstrap import mean_interval
 from surgbench.report.field import Field, keys, number, text
 from surgbench.report.row import Row
+from surgbench.report.sequence_means import differences as differences_of
+from surgbench.report.sequence_means import line_means
 from surgbench.reproduce.sheet import Sheet
 from surgbench.reproduce.table import Table, TableRow
 from surgbench.task import find_task
@@ -76,17 +78,7 @@ def differences(row: TableRow, sequences: Sequence[Row], sheet: Sheet) -> Row:
 
 
 def _mean_difference(key: str, column: str, ours: str, other: str, sequences: Sequence[Row]) -> Row:
-    mine, theirs = (_means(id_, column, sequences) for id_ in (ours, other))
-    values = [mine[unit] - theirs[unit] for unit in mine if unit in theirs]
+    values = differences_of(*(line_means(sequences, id_, column) for id_ in (ours, other)))
     interval = mean_interval(values) or (None, None)
     mean = float(np.mean(values)) if values else None
     return dict(zip((f"{key}{end}" for end in ENDS), (mean, *interval), strict=True))
-
-
-def _means(row_id: str, column: str, sequences: Sequence[Row]) -> dict[str, float]:
-    """Of each unit that a row has done, the mean over its repeats."""
-    of_units: dict[str, list[float]] = {}
-    for one in sequences:
-        if one["row_id"] == row_id and one["status"] == "ok" and one.get(column) is not None:
-            of_units.setdefault(one["unit"], []).append(one[column])
-    return {unit: float(np.mean(values)) for unit, values in of_units.items()}

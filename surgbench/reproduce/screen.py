@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from surgbench.report.fold import Head, print_folded
 from surgbench.report.render import print_leaderboard
 from surgbench.reproduce.compare import Comparison, Pair, compare
 from surgbench.reproduce.results import Results
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def print_table(definition: Definition, results: Results, console: Console) -> None:
-    """Print every block, and its published figures beside ours; 80 characters are enough."""
+    """Print every block, and its published figures beside ours."""
     from rich.text import Text
 
     console.print(Text(definition.table.title, style="bold"))
@@ -24,7 +25,7 @@ def print_table(definition: Definition, results: Results, console: Console) -> N
         console.print(Text(f"\n{block.heading}", style="bold"))
         # The table's file says which options make a row what it is.
         rows = [
-            {**row, "variant": "not for ranking" if row.get("floor") else ""}
+            {**row, "variant": "not for ranking" if row.get("floor") else None}
             for row in results.rows
             if row["block"] == block.name
         ]
@@ -38,22 +39,18 @@ def print_table(definition: Definition, results: Results, console: Console) -> N
 
 
 def _print_comparisons(comparisons: list[Comparison], source: str, console: Console) -> None:
-    from rich import box
-    from rich.table import Table
     from rich.text import Text
 
     measures = list(dict.fromkeys(pair.measure for one in comparisons for pair in one.pairs))
     title = f"beside {source}: theirs, ours, ± over sequences, ours / theirs (bold: no worse)"
-    sheet = Table(title=Text(title), title_justify="left", box=box.SIMPLE_HEAD, padding=0, pad_edge=False)
-    sheet.add_column("row", overflow="fold", min_width=8)
-    sheet.add_column("", no_wrap=True)
-    for measure in measures:
-        sheet.add_column(Text(f"{measure.name}\n{measure.unit}"), justify="right", no_wrap=True)
+    heads = [Head("row", is_text=True), Head("", is_text=True)]
+    heads += [Head(f"{measure.name}\n{measure.unit}") for measure in measures]
+    lines = []
     for one in comparisons:
         pairs = {pair.measure: pair for pair in one.pairs}
         cells = [_cell(pairs.get(measure)) for measure in measures]
-        sheet.add_row(Text(one.row.id), Text("theirs\nours\n±\nratio"), *cells)
-    console.print(sheet)
+        lines.append([Text(one.row.id), Text("theirs\nours\n±\nratio"), *cells])
+    print_folded(title, heads, lines, console, kept=2)
 
 
 def _cell(pair: Pair | None) -> Text:

@@ -125,7 +125,7 @@ class Block(Section):
         heading: As it stands over the block.
         note: The protocol in words.
         dataset: What to generate or import.
-        quick_sequences: Ids of the dataset's sequences that a quick run makes.
+        quick_sequences: Ids of the dataset's sequences that a quick run makes: the first unless told.
         conditions: What all rows share.
         defaults: What its rows ask for where they do not say.
         published_on: Which of the published rows' datasets the block stands for.
@@ -137,7 +137,7 @@ class Block(Section):
     heading: str
     note: str = ""
     dataset: AnyDataset
-    quick_sequences: Annotated[tuple[str, ...], Field(min_length=1)]
+    quick_sequences: Annotated[tuple[str, ...], Field(min_length=1)] = ("000",)
     conditions: Conditions = Conditions()
     defaults: dict[str, Any] = Field(default={})
     published_on: str | None = None
@@ -219,9 +219,9 @@ class Table(Section):
     task: str
     note: str = ""
     published: str | None = None
-    quick: Share
-    timing: Timing
-    check: Check
+    quick: Share = Share(runs=1, frames=40)
+    timing: Timing = Timing(runs=1, frames=100)
+    check: Check = Check(runs=16, frames=100)
     figure: Picture | None = None
     worst: Worst | None = None
     over_sequences: tuple[str, ...] = ()

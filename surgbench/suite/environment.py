@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import surgbench.version as own
+from surgbench.processes.threads import ONE_THREAD
 
 PACKAGES = (
     "numpy",
@@ -33,7 +34,9 @@ def environment(device: str = "cpu") -> dict[str, Any]:
     machine: dict[str, Any] = {
         "system": platform.platform(),
         "processor": _processor(),
+        "vectors": _vectors(),
         "cores": os.cpu_count(),
+        "threads": int(ONE_THREAD["OMP_NUM_THREADS"]),  # that a tracker's process is told to use
     }
     if device != "cpu":
         machine["gpu"] = gpu()
@@ -81,10 +84,21 @@ def _git_state() -> dict[str, Any] | None:
 
 
 def _processor() -> str:
+    return _cpuinfo("model name") or platform.processor() or "unknown"
+
+
+def _vectors() -> str | None:
+    """The widest vector instructions, which decide how sums are rounded; ``None`` where the system does not say."""
+    flags = (_cpuinfo("flags") or "").split()
+    return next((name for name in ("avx512f", "avx2", "avx", "sse4_2") if name in flags), None)
+
+
+def _cpuinfo(key: str) -> str | None:
+    """What Linux says of the first processor."""
     try:
         for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
-            if line.startswith("model name"):
+            if line.startswith(key):
                 return line.partition(":")[2].strip()
     except OSError:
         pass
-    return platform.processor() or "unknown"
+    return None

@@ -21,6 +21,7 @@ COMMANDS = [
     ("import", "masks"),
     ("run",),
     ("report",),
+    ("compare",),
     ("reproduce",),
     ("video",),
     ("export",),

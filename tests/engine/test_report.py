@@ -19,10 +19,13 @@ from surgbench.errors import DatasetError
 from surgbench.processes.reference import REFERENCE_MS
 from surgbench.records.reader import read_records
 from surgbench.report import render
+from surgbench.report.column import ROW, VARIANT
 from surgbench.report.field import keys, number
 from surgbench.report.field import text as field_text
 from surgbench.report.frame import csv_text, read_csv, to_frame, to_rows
 from surgbench.report.latex import escape, latex
+from surgbench.report.leaderboard import set_columns
+from surgbench.report.losses import LOSS_COLUMNS
 from surgbench.report.row import Row
 from surgbench.report.rows import read_rows
 from surgbench.tasks.instrument.rows import ERRORS, INSTRUMENT_COLUMNS
@@ -36,25 +39,28 @@ q1_error_rad,q1_error_rad_std,q1_error_rad_sem,q2_error_rad,q2_error_rad_std,q2_
 q3_error_rad_std,q3_error_rad_sem,mask_error,mask_error_std,mask_error_sem,mask_error_true,mask_error_true_std,\
 mask_error_true_sem,keypoint_error_px,keypoint_error_px_std,keypoint_error_px_sem,translation_error_scaled_m,jitter,lag_ms,start_lag_ms,\
 frames_to_recover,lost_frames,lost_precision,lost_recall,interval_coverage,interval_coverage_rotation,\
-interval_coverage_translation,interval_coverage_q1,interval_coverage_q2,interval_coverage_q3
+interval_coverage_translation,interval_coverage_q1,interval_coverage_q2,interval_coverage_q3,time_lost_share,losses,\
+regained,frames_to_regain,mask_error_low,mask_error_high
 cmaes,instrument,mini,cmaes,none/truth kalman,HASH,ok,,2,10,1,1.0,12.0,14.549999999999999,10.0,,2.0,,,single,3,none,\
 truth,dataset,kalman,raw,False,1,,0.30000000000000004,0.157797338380595,0.05,0.003,0.0015779733838059502,0.0005,0.006,\
 0.0031559467676119004,0.001,0.15000000000000002,0.0788986691902975,0.025,0.07500000000000001,0.03944933459514875,\
 0.0125,0.037500000000000006,0.019724667297574376,0.00625,0.060000000000000005,0.031559467676119,0.010000000000000002,\
-0.030000000000000002,0.0157797338380595,0.005000000000000001,3.0,1.5779733838059502,0.5,,0.5,,,,2,,,,,,,,
+0.030000000000000002,0.0157797338380595,0.005000000000000001,3.0,1.5779733838059502,0.5,,0.5,,,,2,,,,,,,,,0.08333333333333333,1,0,1.0,0.05,0.07
 stuck,instrument,mini,cmaes,none/truth kalman,HASH,failed,ValueError: step | returned (3\\,),1,0,1,0.0,,,,,,,,single,3,\
-none,truth,dataset,kalman,raw,False,1,,,,,,,,,,,,,,,,,,,,,,,,,,,,,,,,,,0,,,,,,,,
+none,truth,dataset,kalman,raw,False,1,,,,,,,,,,,,,,,,,,,,,,,,,,,,,,,,,,0,,,,,,,,,,,,,,
 """
 
 GOLDEN_MARKDOWN = """\
 ### mini, single arms
 
-| row | variant | sequences | done [%] | mask error | true mask error | rotation [rad] | translation [mm] | tips [mm] \
-| q1 [rad] | q2 [rad] | q3 [rad] | keypoints [px] | latency [ms] | p95 [ms] | status |
-| --- | --- | --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: | --- |
-| cmaes | none/truth kalman | 2 | 100 | 0.060 | 0.030 | 0.300 | 3.00 | 6.00 | 0.150 | 0.075 | 0.038 | 3.0 | 12.0 \
-| 14.5 | ok |
-| stuck | none/truth kalman | 1 | 0 | – | – | – | – | – | – | – | – | – | – | – | failed |
+| row | variant | sequences | done [%] | mask error | mask error, 95 % interval | true mask error | rotation [rad] \
+| translation [mm] | tips [mm] | q1 [rad] | q2 [rad] | q3 [rad] | keypoints [px] | time lost [%] | frames to regain \
+| latency [ms] | p95 [ms] | status |
+| --- | --- | --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: \
+| ---: | --- |
+| cmaes | none/truth kalman | 2 | 100 | 0.060 | 0.050–0.070 | 0.030 | 0.300 | 3.00 | 6.00 | 0.150 | 0.075 | 0.038 \
+| 3.0 | 8.3 | 1.0 | 12.0 | 14.5 | ok |
+| stuck | none/truth kalman | 1 | 0 | – | – | – | – | – | – | – | – | – | – | – | – | – | – | failed |
 
 - stuck: failed: ValueError: step \\| returned (3,)
 """
@@ -72,7 +78,7 @@ def only(rows: list[Row]) -> Row:
 
 def test_row_has_exactly_the_columns_of_the_design(runs: Path) -> None:
     for row in read_rows([runs]):
-        assert tuple(row) == keys(INSTRUMENT_COLUMNS)
+        assert tuple(row) == keys((*INSTRUMENT_COLUMNS, *LOSS_COLUMNS, *number("mask_error_low", "mask_error_high")))
     assert len(INSTRUMENT_COLUMNS) == len(set(INSTRUMENT_COLUMNS)) == 19 + 10 + 9 * 3 + 6 + 8
 
 
@@ -131,6 +137,33 @@ def test_the_calibration_ratio_is_the_median_of_the_records_by_the_reference_mac
     assert row["calibration_ratio"] == pytest.approx(2.5)
 
 
+def made_on(processor: str, ratio: float, **axes: Any) -> dict[str, Any]:
+    machine = {"processor": processor, "cores": 2}
+    return record(**axes) | {"environment": {"machine": machine}, "calibration_ms": ratio * REFERENCE_MS}
+
+
+def test_latencies_of_two_machines_stand_beside_each_other(tmp_path: Path) -> None:
+    slow, fast = made_on("Old", 2.0, row_id="a", frames=3), made_on("New", 0.5, row_id="b", frames=3)
+    rows = read_rows([write(tmp_path / "both", slow, fast)])
+    assert {row["row_id"]: row["latency_reference_ms"] for row in rows} == {"a": 5.5, "b": 22.0}
+    assert {row["row_id"]: row["processor"] for row in rows} == {"a": "Old", "b": "New"}
+    assert "latency_reference_ms,processor\n" in render.csv(rows)
+    assert "| latency [ms] | latency on the reference machine [ms] | processor |" in render.markdown(rows)
+    assert "| **11.0** | 5.5 | Old |" in render.markdown(rows)
+    assert "Old" in render.table(rows, width=40)
+    # Of one machine there is nothing to compare.
+    alone = read_rows([write(tmp_path / "one", slow)])
+    assert "reference machine" not in render.markdown(alone)
+    mixed = only(read_rows([write(tmp_path / "mixed", slow, made_on("New", 1.0, row_id="a", unit="001-left"))]))
+    assert mixed["processor"] == "New and Old"
+
+
+@pytest.mark.parametrize("environment", [None, [], {"machine": 3}, {"machine": {"processor": ["x"]}}])
+def test_whatever_a_record_says_of_its_machine(tmp_path: Path, environment: Any) -> None:
+    row = only(read_rows([write(tmp_path, record() | {"environment": environment})]))
+    assert "processor" not in row
+
+
 def test_lags_and_the_filters_time_are_in_rows_of_new_records_only(tmp_path: Path) -> None:
     old = only(read_rows([write(tmp_path / "old", record())]))
     assert (old["latency_filter_ms"], old["lag_ms"], old["start_lag_ms"]) == (None, None, None)
@@ -144,13 +177,13 @@ def test_lags_and_the_filters_time_are_in_rows_of_new_records_only(tmp_path: Pat
     assert (row["latency_filter_ms"], row["lag_ms"], row["start_lag_ms"]) == (0.2, 15.0, None)
 
 
-def test_a_start_lag_stands_in_markdown_and_in_wide_terminals(tmp_path: Path) -> None:
+def test_a_start_lag_stands_in_markdown_and_in_terminals(tmp_path: Path) -> None:
     content = record()
     content["errors"]["start_lag_ms"] = [12.34]
     rows = read_rows([write(tmp_path, content)])
     assert "| start lag [ms] |" in render.markdown(rows)
     assert "12.3" in render.table(rows, width=140)
-    assert "12.3" not in render.table(rows, width=100)
+    assert "12.3" in render.table(rows, width=40)
 
 
 def test_without_truth_only_the_mask_error_is_left(tmp_path: Path) -> None:
@@ -347,13 +380,17 @@ def test_folder_without_records_is_named(tmp_path: Path) -> None:
         read_rows([tmp_path / "nowhere"])
 
 
-@pytest.mark.parametrize("width", [80, 100, 140])
-def test_table_fits_and_shows_the_numbers(runs: Path, width: int) -> None:
-    text = render.table(read_rows([runs]), width=width)
-    assert max(len(line) for line in text.splitlines()) <= width
-    for shown in ("cmaes", "0.060", "0.300", "3.00", "stuck: failed: ValueError: step | returned (3,)"):
-        assert shown in text
-    assert ("none/truth kalman" in text) == (width >= 120)
+@pytest.mark.parametrize("width", [40, 60, 80, 120, 140])
+def test_a_table_of_any_width_has_all_columns_each_with_the_rows_name(runs: Path, width: int) -> None:
+    rows = read_rows([runs])
+    text = render.table(rows, width=width)
+    tables, failures = text.split("stuck: failed: ")
+    assert max(len(line) for line in tables.splitlines()) <= width
+    assert failures == "ValueError: step | returned (3,)\n"
+    named = [line for line in tables.splitlines() if line.split()[:1] == ["cmaes"]]
+    cells = [column.cell(rows[0]) for column in set_columns(rows) if column not in (ROW, VARIANT)]
+    assert " ".join(" ".join(line.split()[1:]) for line in named) == " ".join([*cells, "none/truth kalman"])
+    assert len(named) == len([line for line in tables.splitlines() if line.split()[:1] == ["stuck"]])
 
 
 def test_table_shows_variants_where_names_are_the_same(tmp_path: Path) -> None:

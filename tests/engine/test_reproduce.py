@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 import shutil
 from importlib.util import find_spec
 from pathlib import Path
@@ -22,7 +23,7 @@ from surgpose_folder import jaws_of, put_jaw, put_trajectory
 from surgbench.config import packaged_names
 from surgbench.errors import ConfigError, NotFoundError
 from surgbench.report import figures
-from surgbench.reproduce.check import Chosen, beyond_tolerance, choose
+from surgbench.reproduce.check import Chosen, beyond_tolerance, choose, machine_text
 from surgbench.reproduce.compare import Pair, compare
 from surgbench.reproduce.consistency import inconsistencies
 from surgbench.reproduce.files import json_text, read_results
@@ -31,6 +32,7 @@ from surgbench.reproduce.load import load_table
 from surgbench.reproduce.published import load_published
 from surgbench.reproduce.results import Results
 from surgbench.reproduce.table import Definition
+from surgbench.suite.environment import environment
 from surgbench.task import find_task
 from surgbench.tasks.instrument.columns import PUBLISHED
 from surgbench.tasks.instrument.levels import curves
@@ -104,6 +106,33 @@ def definition(made: Path) -> Definition:
 @pytest.fixture
 def results(made: Path) -> Results:
     return read_results(made / "results" / "tiny")
+
+
+def minimal_table() -> str:
+    """The first table file of the page about them."""
+    page = (Path(__file__).parents[2] / "docs" / "reproduce.md").read_text(encoding="utf-8")
+    return page.partition("This is enough:\n\n```yaml\n")[2].partition("```")[0]
+
+
+def test_a_table_file_need_not_say_much(tmp_path: Path) -> None:
+    (tmp_path / "mine.yaml").write_text(minimal_table(), encoding="utf-8")
+    table = load_table(str(tmp_path / "mine.yaml")).table
+    assert table.task == "instrument"
+    assert (table.quick.runs, table.quick.frames) == (1, 40)
+    assert (table.timing.runs, table.timing.frames) == (1, 100)
+    assert (table.check.runs, table.check.frames) == (16, 100)
+    assert table.blocks[0].quick_sequences == ("000",)
+
+
+@pytest.mark.slow
+def test_the_least_table_file_is_made_and_checked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    text = minimal_table().replace("hybrid", f"{STRANGERS}:Still").replace("cmaes", f"{STRANGERS}:Noisy")
+    (tmp_path / "mine.yaml").write_text(text.replace("preset: mini", "preset: mini, frames: 4"), encoding="utf-8")
+    places = ("--out", tmp_path, "--data", tmp_path / "data", "--jobs", 1)
+    surgbench("reproduce", tmp_path / "mine.yaml", "--quick", *places)
+    surgbench("reproduce", tmp_path / "mine.yaml", *places)
+    surgbench("reproduce", tmp_path / "mine.yaml", "--check", *places)
+    assert "confirmed (2 rows run again, 0 skipped)" in capsys.readouterr().out
 
 
 # --- the files
@@ -237,6 +266,11 @@ def test_a_sound_table_passes(copy: Path, capsys: pytest.CaptureFixture[str]) ->
     assert "identical" in out
     assert "5 states bit for bit" in out
     assert "confirmed (1 rows run again, 0 skipped)" in out
+    processor = machine_text(environment()["machine"])
+    assert f"made on {processor}; run again on {processor}" in err
+    assert re.search(
+        r"latency \S+ ms \(calibration ratio \S+ \S+ ms on the reference machine\) here, .+ in the table", out
+    )
     assert not (copy / "data").exists()
 
 
@@ -307,6 +341,11 @@ def test_tolerance_follows_the_spread() -> None:
 
 
 @pytest.mark.slow
+def test_machines_are_named_as_far_as_they_are_known() -> None:
+    assert machine_text({"processor": "Old", "cores": 2}) == "Old"
+    assert machine_text({"processor": "New", "vectors": "avx2", "threads": 1}) == "New, avx2, 1 thread"
+
+
 def test_choice_follows_table_and_commit(definition: Definition, results: Results) -> None:
     def picks(commit: str, table: str = "t") -> list[Chosen]:
         return choose(definition, results, table, commit)

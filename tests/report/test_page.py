@@ -24,7 +24,7 @@ from surgbench.records.reader import read_records
 from surgbench.report.encoders import has_h264
 from surgbench.report.page.boards import grouped
 from surgbench.report.page.build import MOST_BYTES, build_page, embedded, read, render
-from surgbench.report.page.content import Board, Cell, Head, Line, Page, clipped
+from surgbench.report.page.content import Page, clipped
 from surgbench.report.page.curves import curves_of, points_for, share_of, thinned, units_shown
 from surgbench.report.page.moments import choose, chosen_units
 from surgbench.report.page.pictures import NO_FILMS
@@ -255,17 +255,14 @@ def test_published_figures_are_quoted_in_tables_of_their_own(tmp_path: Path) -> 
         page_of(tmp_path, published=["hu2025"])
 
 
-def test_further_tables_stand_below_the_leaderboard(tmp_path: Path) -> None:
-    cells = (Cell("0.03", 0.03), Cell("better"))
-    wins = Board(
-        "wins",
-        "Who beats whom",
-        (Head("pair", is_text=True), Head("p"), Head("who", is_text=True)),
-        (Line("w0", "a, b", cells),),
-    )
-    page = build_page(read_records([ordinary(tmp_path)]), silent, further=[wins]).decode()
-    assert page.index("Who beats whom") > page.index('id="leaderboard"')
+def test_rows_are_compared_below_the_leaderboard(tmp_path: Path) -> None:
+    page = page_of(ordinary(tmp_path))
+    below = page[page.index('id="further"') :]
+    assert page.index('id="further"') > page.index('id="leaderboard"')
     assert 'href="#further"' in page
+    assert "Sequences won" in below
+    assert "2:0" in below  # won on both sequences
+    assert "too few for any difference to be significant" in below
 
 
 def test_a_page_of_nothing_is_a_page() -> None:

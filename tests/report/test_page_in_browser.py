@@ -151,7 +151,7 @@ def test_points_lead_to_their_rows(browser: Any, plain: Path) -> None:
     points.nth(1).focus()
     reader.page.keyboard.press("Enter")
     reader.page.wait_for_function("document.activeElement.id === 'row-1'")
-    reader.page.get_by_label("Error").first.select_option(label="tips [mm]")
+    reader.page.get_by_role("combobox", name="Error").first.select_option(label="tips [mm]")
     assert "tips" in str(reader.page.locator("#scatter svg").get_attribute("aria-label"))
     reader.leave()
 
@@ -159,7 +159,7 @@ def test_points_lead_to_their_rows(browser: Any, plain: Path) -> None:
 def test_a_sequence_is_opened_and_its_lines_drawn(browser: Any, plain: Path) -> None:
     reader = Reader(browser, plain)
     assert reader.page.locator("#curves polyline").count() == 2
-    reader.page.get_by_label("Sequence").select_option("000-right")
+    reader.page.get_by_label("Sequence", exact=True).select_option("000-right")
     assert "000-right" in str(reader.page.locator("#curves svg").get_attribute("aria-label"))
     reader.page.locator("#curve-legend").get_by_label("worse").uncheck()
     assert reader.page.locator("#curves polyline").count() == 1

@@ -18,7 +18,10 @@ from surgbench.generation import GenerationRequest
 from surgbench.generators.dispatch import plan_preset
 from surgbench.generators.resumable import generate
 from surgbench.processes.child import Child
+from surgbench.report.column import ROW, VARIANT
 from surgbench.report.field import keys
+from surgbench.report.leaderboard import set_columns
+from surgbench.report.render import table
 from surgbench.report.rows import read_rows
 from surgbench.reproduce.load import load_table
 from surgbench.reproduce.table import Block, DatasetRequest
@@ -162,6 +165,12 @@ def test_pictures_agree_with_geometry(dataset: Path, tmp_path: Path) -> None:
     assert rows["projected", "right"]["u_error_px"] > rows["projected", "left"]["u_error_px"] + 50.0
 
 
+# What was lost of a feature that is always seen, where the mean over trials lies, and on what it ran.
+FURTHER = (
+    "time_lost_share", "losses", "regained", "vva_deg_low", "vva_deg_high", "latency_reference_ms", "processor",
+)  # fmt: skip
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("form", ["table", "csv", "markdown", "json"])
 def test_reports(runs: Path, form: str, capsys: pytest.CaptureFixture[str]) -> None:
@@ -171,12 +180,24 @@ def test_reports(runs: Path, form: str, capsys: pytest.CaptureFixture[str]) -> N
     assert "autocam" in out
     if form == "csv":
         lines = list(csv.DictReader(out.splitlines()))
-        assert tuple(lines[0]) == keys(VIEWPOINT_COLUMNS)
+        assert tuple(lines[0]) == (*keys(VIEWPOINT_COLUMNS), *FURTHER)
         assert {line["subset"] for line in lines} >= {"all", "unconstrained", "constrained"}
     elif form == "json":
-        assert set(json.loads(out)[0]) == set(keys(VIEWPOINT_COLUMNS))
+        assert set(json.loads(out)[0]) == {*keys(VIEWPOINT_COLUMNS), *FURTHER}
     else:
         assert "VVA" in out
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("width", [40, 60, 80, 120])
+def test_the_table_of_any_width_has_every_column_and_each_line_its_name(runs: Path, width: int) -> None:
+    rows = [row for row in read_rows([runs]) if row["subset"] == "all" and row["camera"] is None]
+    text = table(rows, width)
+    assert max(map(len, text.splitlines())) <= width
+    for row in rows:
+        named = " ".join(line for line in text.splitlines() if line.split()[:1] == [row["row_id"]])
+        cells = [column.cell(row) for column in set_columns(rows) if column not in (ROW, VARIANT)]
+        assert [word for word in named.split() if word != row["row_id"]][: len(cells)] == cells
 
 
 @pytest.mark.slow

@@ -9,10 +9,10 @@ from typing import Any
 
 from surgbench.records.format import Record
 from surgbench.report.column import NO_VALUE, STATUS, Column
-from surgbench.report.leaderboard import Ranking, groups, shown, unsound
+from surgbench.report.leaderboard import Ranking, groups, set_columns, unsound
 from surgbench.report.page.content import Board, Cell, Head, Line, clipped
 from surgbench.report.row import Row
-from surgbench.report.rows import columns, rows_with_records
+from surgbench.report.rows import columns, derive_runs
 from surgbench.task import Task, find_task
 
 DIGITS = 6  # of numbers in columns that nobody has said how to show
@@ -51,11 +51,11 @@ class Group:
 
 def grouped(records: Sequence[Record]) -> list[Group]:
     """The leaderboard's tables, as :func:`surgbench.report.leaderboard.groups` has them."""
-    pairs = [(row, members) for row, members in rows_with_records(records) if find_task(row["task"]).on_page(row)]
-    members_of = {id(row): members for row, members in pairs}
+    pairs = [(row, run.records) for run in derive_runs(records, reported=True) for row in run.rows]
+    members_of = {id(row): members for row, members in pairs if find_task(row["task"]).on_page(row)}
     runs: dict[tuple[Any, ...], str] = {}
     found, count = [], 0
-    for number, (title, rows) in enumerate(groups([row for row, _ in pairs])):
+    for number, (title, rows) in enumerate(groups([row for row, _ in pairs if id(row) in members_of])):
         keys = [(number, row["row_id"], row["settings_hash"]) for row in rows]
         abouts = tuple(runs.setdefault(key, f"about-{len(runs)}") for key in keys)
         anchors = tuple(f"row-{count + place}" for place in range(len(rows)))
@@ -68,7 +68,7 @@ def grouped(records: Sequence[Record]) -> list[Group]:
 def board(group: Group) -> Board:
     """A table of the page."""
     rows = list(group.rows)
-    main, ranking = shown(rows), Ranking(rows)
+    main, ranking = set_columns(rows), Ranking(rows)
     if unsound(rows):
         main.append(STATUS)
     present = {key for row in rows for key, value in row.items() if value is not None}
@@ -94,7 +94,7 @@ def _is_text(rows: Sequence[Row], column: Column) -> bool:
 
 def _shown(column: Column, row: Row, ranking: Ranking) -> Cell:
     value = row.get(column.key)
-    return Cell(clipped(column.text(value)), _number(value), ranking.place(column, row))
+    return Cell(clipped(column.cell(row)), _number(value), ranking.place(column, row))
 
 
 def _plain(value: Any) -> Cell:

@@ -16,13 +16,14 @@ from jinja2 import Environment, StrictUndefined
 from surgbench.records.format import Record
 from surgbench.report.encoders import has_h264
 from surgbench.report.page.boards import board, grouped
-from surgbench.report.page.content import Board, Page, clipped
+from surgbench.report.page.content import Page, clipped
 from surgbench.report.page.curves import curves_of
 from surgbench.report.page.drawn import drawn
 from surgbench.report.page.moments import planned
 from surgbench.report.page.origins import origins
 from surgbench.report.page.pictures import FULL, NO_FILMS, Pictures, Progress
 from surgbench.report.page.quoted import quoted_boards
+from surgbench.report.page.statistics import statistics_boards
 from surgbench.task import find_task
 from surgbench.version import __version__
 
@@ -39,7 +40,6 @@ def build_page(
     dataset: Path | None = None,
     published: Sequence[str] = (),
     tell: Callable[[str], None] = lambda problem: None,
-    further: Sequence[Board] = (),
 ) -> bytes:
     """The report of some records as one HTML page, which needs no other file.
 
@@ -51,7 +51,6 @@ def build_page(
         dataset: Where the dataset of some of them is now, if not where the records say.
         published: Sources of published figures, which are quoted.
         tell: Takes one line for everything that there are no pictures of, and why.
-        further: Tables that stand below the leaderboard as they are.
 
     Raises:
         SurgbenchError: No such dataset or source; one line.
@@ -66,7 +65,7 @@ def build_page(
         "summary": _summary(records, [task.name for task in tasks]),
         "boards": tuple(map(board, groups)),
         "quoted": tuple(quoted_boards(published, tasks)),
-        "further": tuple(further),
+        "further": tuple(statistics_boards(records)),
         "data": drawn(curves, drawings),
         "origins": tuple(origin for group in groups for origin in origins(group)),
     }

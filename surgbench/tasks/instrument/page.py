@@ -18,12 +18,13 @@ from surgbench.tasks.instrument.columns import (
     MARKED_TIPS,
     OUT_OF_VIEW,
     PAGE_ERRORS,
+    PAGE_LATENCY,
     PAGE_MADE_MASKS,
-    PAGE_MASKS_TIME,
+    PAGE_MASK_SOURCE,
+    PAGE_OPTIMISATION,
+    PAGE_P95,
     PAGE_POSE,
     PAGE_SCALED,
-    PAGE_TIME,
-    PAGE_TIME_P95,
     PUBLISHED,
     READ_JOINTS,
     SURE,
@@ -37,9 +38,10 @@ READING = (
     "Errors are means over sequences (each arm is one) ± their standard error, after the paper's rule for the 180° "
     "twin; where `scored` in `leaderboard.csv` says so, of the state that the filter makes of the tracker's. *mask "
     "error* is against the mask that the tracker saw, *true mask error* against the uncorrupted one; *keypoints* is "
-    "the sum over both tips. *time* is the median of a frame's optimisation. Every column is explained in "
-    "`docs/metrics.md`; `leaderboard.csv` has more of them, with all digits, and `sequences.csv` every sequence's "
-    "means."
+    "the sum over both tips. *latency* is the median time of a frame, everything that a user waits for (tips, "
+    "masks, filter), *p95* its 95th percentile; *optimisation* is the median of the tracker's own part of it. Every "
+    "column is explained in `docs/metrics.md`; `leaderboard.csv` has more of them, with all digits, and "
+    "`sequences.csv` every sequence's means."
 )
 
 
@@ -133,7 +135,7 @@ def _summary(table: Table, compared: dict[str, list[Comparison]], source: str) -
 
 def _accuracies(one: Comparison) -> list[Pair]:
     """The errors of a row that stands for a published one; none of any other row."""
-    return [pair for pair in one.pairs if pair.measure != PAGE_TIME] if one.row.published is not None else []
+    return [pair for pair in one.pairs if pair.measure != PAGE_OPTIMISATION] if one.row.published is not None else []
 
 
 def _not_met(comparisons: list[Comparison]) -> str:
@@ -182,8 +184,8 @@ def _dataset(block: Block, dataset: dict[str, Any]) -> str:
 def _block_table(rows: Sequence[Row]) -> str:
     partly = any(row["coverage"] < 1 for row in rows)
     scaled = [PAGE_SCALED] if any(row[PAGE_SCALED.key] is not None for row in rows) else []
-    made = [PAGE_MASKS_TIME] if any(row.get(PAGE_MADE_MASKS.key) is not None for row in rows) else []
-    spreadless = (*scaled, *made, PAGE_TIME, PAGE_TIME_P95)
+    made = [PAGE_MASK_SOURCE] if any(row.get(PAGE_MADE_MASKS.key) is not None for row in rows) else []
+    spreadless = (*scaled, *made, PAGE_OPTIMISATION, PAGE_LATENCY, PAGE_P95)
     # Recordings have no truth, and the page no columns of what nobody knows.
     possible = (*PAGE_ERRORS, PAGE_MADE_MASKS, MARKED_TIPS, *READ_JOINTS)
     known = [column for column in possible if any(row.get(column.key) is not None for row in rows)]
@@ -204,7 +206,7 @@ def _block_table(rows: Sequence[Row]) -> str:
 def _comparison_table(comparisons: Sequence[Comparison]) -> str:
     """Three lines a row: published, ours, and their ratio, bold where ours is no worse."""
     compared = {pair.measure for one in comparisons for pair in one.pairs}
-    measures = [column for column in (*PAGE_ERRORS, PAGE_TIME) if column in compared]
+    measures = [column for column in (*PAGE_ERRORS, PAGE_OPTIMISATION) if column in compared]
     lines = [["method", "", *(measure.heading for measure in measures)]]
     for one in comparisons:
         pairs = {pair.measure: pair for pair in one.pairs}

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from surgbench.geometry import FloatArray
-from surgbench.metrics import POSE_ERRORS
+from surgbench.metrics import POSE_ERRORS, RECOVERED_M
+from surgbench.pair_metrics import FAR_OFF_M
 from surgbench.report.field import count, flag, number, text
+from surgbench.report.losses import LOSS_COLUMNS, loss_row, losses
 from surgbench.report.row import COMMON_COLUMNS, Row, median, pooled
 from surgbench.report.summary import summarise
 from surgbench.reproduce.over_sequences import FRAMES_PER_SECOND, SUFFIX
@@ -58,7 +62,10 @@ SPREAD_COLUMNS = number(
     f"mask_error{SUFFIX}", f"mask_error_true{SUFFIX}", FRAMES_PER_SECOND, FRAMES_PER_SECOND + SUFFIX
 )
 
-FURTHER_COLUMNS = (*RECORDING_COLUMNS, *number(*JUDGED), *PAIR_COLUMNS, *SOURCE_COLUMNS, *SPREAD_COLUMNS)
+FURTHER_COLUMNS = (
+    *(*RECORDING_COLUMNS, *number(*JUDGED), *PAIR_COLUMNS, *SOURCE_COLUMNS, *SPREAD_COLUMNS),
+    *LOSS_COLUMNS,
+)
 
 
 def instrument_row(head: Row, records: list[InstrumentRecord]) -> Row:
@@ -96,6 +103,7 @@ def instrument_row(head: Row, records: list[InstrumentRecord]) -> Row:
     row |= {name: summarise(_by_sequence(records, name)).mean for name in PER_ARM}
     row["lost_frames"] = sum(sum(record.frames.lost) for record in records)
     row |= {name: summarise(_by_sequence(records, name)).mean for name in SHARES}
+    row |= _losses(records)
     if any(ABSENT in record.errors for record in records):
         row |= _recording_columns(records)
     judged = {name: summarise(_by_sequence(records, name)).mean for name in JUDGED}
@@ -124,6 +132,14 @@ def _recording_columns(records: list[InstrumentRecord]) -> Row:
     for error in REFERENCE_ERRORS:
         row |= _spread(records, error)
     return row
+
+
+def _losses(records: list[InstrumentRecord]) -> Row:
+    """Of each arm, from its tips far off to its tips right again."""
+    return loss_row(
+        [losses(arm, FAR_OFF_M, RECOVERED_M) for run in own for arm in np.atleast_2d(run.T)]
+        for own in _by_sequence(records, "tip_error_m")
+    )
 
 
 def _spread(records: list[InstrumentRecord], error: str) -> Row:

@@ -51,6 +51,8 @@ class InstrumentTask(Task):
             "worker",
         ]
     )
+    # The error of the masks that trackers saw, which is known of recordings too.
+    ranked_by: ClassVar[str] = "mask_error"
     first_check: ClassVar[str] = "plain sequence"
     may_refuse: ClassVar[tuple[str, ...]] = ("readings", "kinematics", "two arms", "masks of arms", "crossing arms")
     aids: ClassVar[tuple[str, ...]] = ("kinematics", "images of painted instruments")
@@ -152,11 +154,6 @@ class InstrumentTask(Task):
     def title(self, row: Row) -> str:
         """How many arms a run is about."""
         return "both arms together" if row["arms"] == "dual" else "single arms"
-
-    def rank(self, row: Row) -> float | None:
-        """The error of the masks that trackers saw, which is known of recordings too."""
-        error: float | None = row["mask_error"]
-        return error
 
     @property
     def sheet(self) -> Sheet:

@@ -4,22 +4,24 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from surgbench.report.column import ROW, VARIANT, Column
+from surgbench.report.column import LATENCY, ROW, VARIANT, Column
+from surgbench.report.losses import SHOWN_LOSSES
 
 VVA = Column("vva_deg", "VVA", "deg", 2, short="VVA\ndeg", best=True)
 FD = Column("fd_mm", "FD", "mm", 2, short="FD\nmm", best=True)
 PF = Column("pf_deg", "PF", "deg", 2, short="PF\ndeg", best=True)
 AN = Column("an_deg", "AN", "deg", 1, short="AN\ndeg", best=True)
 PN = Column("pn_mm", "PN", "mm", 1, short="PN\nmm", best=True)
-TRUE_VVA = Column("vva_true_deg", "true VVA", "deg", 2, short="true\nVVA", best=True, from_width=90)
-P999 = Column("latency_ms_p999", "p99.9", "ms", 3, short="p99.9\nms", from_width=90)
+TRUE_VVA = Column("vva_true_deg", "true VVA", "deg", 2, short="true\nVVA", best=True)
+PAGE_LATENCY = replace(LATENCY, decimals=3)
+P999 = Column("latency_ms_p999", "p99.9", "ms", 3, short="p99.9\nms")
 
 # Of viewpoint controllers; the page has every subset of the samples, the terminal all of them together.
 COLUMNS = (
     ROW,
     VARIANT,
     Column("subset", "samples", short="samples\nof"),
-    Column("samples", "n", short="n", from_width=110),
+    Column("samples", "n", short="n"),
     Column("coverage", "done", "%", 0, 100.0, short="done\n%"),
     VVA,
     FD,
@@ -27,22 +29,23 @@ COLUMNS = (
     AN,
     PN,
     TRUE_VVA,
-    Column("constrained_percent", "constrained", "%", 1, short="bound\n%", from_width=90),
-    Column("visibility_any_percent", "visible to a camera", "%", 2, short="seen\n%", from_width=90),
+    Column("constrained_percent", "constrained", "%", 1, short="bound\n%"),
+    Column("visibility_any_percent", "visible to a camera", "%", 2, short="seen\n%"),
+    *SHOWN_LOSSES,
     Column("no_go_samples", "samples in the zone", short="no-\ngo"),
     Column("floor_samples", "below the floor", short="low"),
     Column("proximity_samples", "too near", short="near"),
     Column("orientation_samples", "on the wrong side", short="side"),
-    Column("latency_ms", "latency", "ms", 3, short="time\nms", best=True),
+    PAGE_LATENCY,
     P999,
 )
 
 # Reproduced tables: the article's errors, with its digits,
 PAGE_ERRORS = (VVA, FD, PF, replace(AN, decimals=2), replace(PN, decimals=2))
 PAGE_SIGNED = Column("fd_signed_mm", "FD, signed", "mm", 2)
-# the mean time of a call, of which the article has fewer digits,
-PAGE_TIME = Column("latency_ms_mean", "time", "ms", 3)
-PUBLISHED_TIME = replace(PAGE_TIME, key="latency_ms", decimals=2)
+# the mean latency, of which the article has fewer digits,
+PAGE_MEAN_LATENCY = Column("latency_ms_mean", "mean latency", "ms", 3)
+PUBLISHED_MEAN_LATENCY = replace(PAGE_MEAN_LATENCY, key="latency_ms", decimals=2)
 # what was true,
 PAGE_TRUTH = (
     TRUE_VVA,

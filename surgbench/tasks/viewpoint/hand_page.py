@@ -37,9 +37,9 @@ DISCLAIMER = (
     "then comes out. Nothing else is fitted to the published figures, which stand beside."
 )
 READING = (
-    "Time: there and back; collisions: contacts of ring and wire of at least 0.1 s that are 0.2 mm apart; in contact: "
-    "all of them together; a contact: its mean duration; way: how far the ring's centre went; unseen: share of the "
-    "time in which no picture that was shown had the ring in it and before the tool; views taken: how often "
+    "Task time: there and back; collisions: contacts of ring and wire of at least 0.1 s that are 0.2 mm apart; in "
+    "contact: all of them together; a contact: its mean duration; way: how far the ring's centre went; unseen: share "
+    "of the time in which no picture that was shown had the ring in it and before the tool; views taken: how often "
     "teleoperation took the camera's pose anew; unfinished: runs broken off after 180 s, which count with what they "
     "had until then. Means over wires of means over people, ± standard deviation over runs (in the article over "
     "people). The model, its constants and their sources: `docs/viewpoint-view.md`."

@@ -17,15 +17,16 @@ from surgbench.tasks.viewpoint.columns import (
     PAGE_ERRORS,
     PAGE_EYES,
     PAGE_FRAMED,
+    PAGE_LATENCY,
+    PAGE_MEAN_LATENCY,
     PAGE_PAIRED,
     PAGE_REGRET,
     PAGE_RULES,
     PAGE_SEEN,
     PAGE_SIGNED,
-    PAGE_TIME,
     PAGE_TRUTH,
     PAGE_UNAVOIDABLE,
-    PUBLISHED_TIME,
+    PUBLISHED_MEAN_LATENCY,
 )
 from surgbench.tasks.viewpoint.robustness import ROBUSTNESS_PNG, robustness_table
 from surgbench.viewpoint.rules import RULE_UNITS, TWINS
@@ -111,17 +112,21 @@ def page(definition: Definition, results: Results) -> str:
 def _errors(
     rows: Sequence[Row], published: Published | None, table: str, subset: str, columns: Sequence[Column] = PAGE_ERRORS
 ) -> str:
-    lines = [["controller", "row id", "samples", *(column.heading for column in (*columns, PAGE_TIME))]]
+    lines = [
+        ["controller", "row id", "samples", *(column.heading for column in (*columns, PAGE_LATENCY, PAGE_MEAN_LATENCY))]
+    ]
     if published is not None:
         values = published.rows[table].data["solver" if subset == "optimised" else subset]
-        cells = [_published(column, values.get(column.key)) for column in (*columns, PUBLISHED_TIME)]
+        cells = [_published(column, values.get(column.key)) for column in columns]
+        cells += [NO_VALUE, _published(PUBLISHED_MEAN_LATENCY, values.get(PUBLISHED_MEAN_LATENCY.key))]
         count = f"{values['samples']:.0f}" if "samples" in values else NO_VALUE
         lines.append([f"*{published.short}*", "", count, *cells])
     for row in rows:
         if row["subset"] != subset or row["camera"] is not None:
             continue
         cells = [column.with_spread(row[column.key], row[f"{column.key}_std"]) for column in columns]
-        cells.append(PAGE_TIME.with_spread(row[PAGE_TIME.key], row["latency_ms_std"]))
+        mean = PAGE_MEAN_LATENCY.with_spread(row[PAGE_MEAN_LATENCY.key], row["latency_ms_std"])
+        cells += [PAGE_LATENCY.cell(row), mean]
         lines.append([row["label"], f"`{row['row_id']}`", str(row["samples"]), *cells])
     return markdown_table(lines, text_columns=2)
 
@@ -209,8 +214,8 @@ def _with_interval(column: Column, row: Row) -> str:
 def _times(about: dict[str, Any], published: Published | None) -> str:
     timed = about["timing_environments"] or about["environments"]
     processors = " and of ".join(sorted({environment["machine"]["processor"] for environment in timed}))
-    ours = f"Times are means of one call of a controller, on one core of {processors}."
-    return ours if published is None else f"{ours} Those of {published.short}: {published.machine}."
+    ours = f"*latency* is the median time of one call of a controller, on one core of {processors}."
+    return ours if published is None else f"{ours} The article's are means; {published.short}: {published.machine}."
 
 
 def _dataset(block: Block, dataset: dict[str, Any]) -> str:

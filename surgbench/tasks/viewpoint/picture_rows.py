@@ -9,6 +9,7 @@ import numpy as np
 from surgbench.geometry import FloatArray
 from surgbench.report.bootstrap import mean_interval
 from surgbench.report.field import Field, number
+from surgbench.report.losses import Losses, loss_row, losses
 from surgbench.report.row import Row
 from surgbench.tasks.viewpoint.records import ViewpointRecord
 from surgbench.viewpoint.optics.centroids import ERRORS, centroid_table, visibility
@@ -64,6 +65,15 @@ def visibility_row(records: Sequence[ViewpointRecord], source: str) -> Row:
         interval = mean_interval([share[key] for share in shares], counts)
         row[f"{key}_low"], row[f"{key}_high"] = (None, None) if interval is None else interval
     return row
+
+
+def lost_row(records: Sequence[ViewpointRecord]) -> Row:
+    """From when neither camera sees the feature to when one sees it again."""
+    trials: dict[str, list[Losses]] = {}
+    for record in records:
+        unseen = ~_seen(record, "projected_px").any(axis=1)
+        trials.setdefault(record.spec.unit, []).append(losses(unseen, 0.5, 0.5))
+    return loss_row(trials.values())
 
 
 def framed_row(records: Sequence[ViewpointRecord]) -> Row:

@@ -19,7 +19,14 @@ from surgbench.report.field import count, flag, keys, number, text
 from surgbench.report.row import COMMON_COLUMNS, Row
 from surgbench.report.summary import summarise
 from surgbench.tasks.viewpoint.hand_rows import hand_values
-from surgbench.tasks.viewpoint.picture_rows import SOURCES, framed_row, picture_fields, picture_rows, visibility_row
+from surgbench.tasks.viewpoint.picture_rows import (
+    SOURCES,
+    framed_row,
+    lost_row,
+    picture_fields,
+    picture_rows,
+    visibility_row,
+)
 from surgbench.tasks.viewpoint.records import ViewpointRecord
 from surgbench.tasks.viewpoint.rule_rows import rule_fields, rule_row
 from surgbench.viewpoint.disturbance import Disturbance
@@ -83,7 +90,7 @@ def viewpoint_rows(head: Row, records: list[ViewpointRecord]) -> list[Row]:
     members = [subsets(record) for record in records]
     rows = [_row(common, name, records, [one[name] for one in members]) for name in SUBSETS]
     rows[0] |= {**rule_row(records), **visibility_row(records, "projected_px"), **framed_row(records)}
-    rows[0] |= hand_values(records)
+    rows[0] |= {**lost_row(records), **hand_values(records)}
     of_pictures = {**dict.fromkeys(keys(VIEWPOINT_COLUMNS)), **common, "subset": "all", **dict.fromkeys(LATENCIES)}
     rows += [{**of_pictures, **row} for source in SOURCES for row in picture_rows(records, source)]
     return [row for row in rows if row["subset"] == "all" or row["samples"]]

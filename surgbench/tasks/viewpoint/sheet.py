@@ -11,6 +11,7 @@ import numpy as np
 from surgbench.files import sha256_text
 from surgbench.records.reader import read_record
 from surgbench.report.figures import FIGURE_PNG
+from surgbench.report.losses import LOSS_COLUMNS
 from surgbench.report.row import Row
 from surgbench.reproduce.paired import paired_fields
 from surgbench.reproduce.results import RECORDS, Results
@@ -146,7 +147,7 @@ VIEWPOINT_SHEET = Sheet(
     page=_page,
     draw=_draw,
     estimates="setpoint",
-    further_columns=(*paired_fields(PAIRED), *HAND_COLUMNS),
+    further_columns=(*paired_fields(PAIRED), *LOSS_COLUMNS, *HAND_COLUMNS),
     further_errors=HAND_MEASURES,
     further_estimates=("ring",),
     further_counts=(*_FURTHER_COUNTS, UNFINISHED),

@@ -36,6 +36,8 @@ class ViewpointTask(Task):
         f"{__package__}.{name}" for name in ("dataset", "execute", "hand_execute", "hand_worker", "pictures", "worker")
     )
     parts: ClassVar[Mapping[str, Any]] = {"subset": "all", "camera": None, "pixels": None}
+    # How far the feature is from the optical axis.
+    ranked_by: ClassVar[str] = "vva_deg"
     first_check: ClassVar[str] = "plain trial"
 
     @property
@@ -112,10 +114,11 @@ class ViewpointTask(Task):
 
     @property
     def further_columns(self) -> tuple[Field, ...]:
-        """What a simulated hand did."""
+        """Time out of view, and what a simulated hand did."""
+        from surgbench.report.losses import LOSS_COLUMNS
         from surgbench.tasks.viewpoint.hand_rows import HAND_COLUMNS
 
-        return HAND_COLUMNS
+        return (*LOSS_COLUMNS, *HAND_COLUMNS)
 
     @property
     def shown(self) -> tuple[Column, ...]:
@@ -130,11 +133,6 @@ class ViewpointTask(Task):
         from surgbench.tasks.viewpoint.rows import viewpoint_rows
 
         return viewpoint_rows(head, records)
-
-    def rank(self, row: Row) -> float | None:
-        """How far the feature is from the optical axis."""
-        error: float | None = row["vva_deg"]
-        return error
 
     def on_page(self, row: Row) -> bool:
         """Rows of the pictures are for files."""

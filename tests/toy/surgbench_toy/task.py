@@ -52,6 +52,7 @@ class CountingTask(Task):
 
     name: ClassVar[str] = "counting"
     summary: ClassVar[str] = "say the next number of a series"
+    ranked_by: ClassVar[str] = "count_error"
 
     manifest = CountingManifest
     record = CountingRecord
@@ -90,8 +91,3 @@ class CountingTask(Task):
         """The mean error."""
         errors = [[record.errors["count_error"]] for record in records if record.status == "ok"]
         return [{**head, "count_error": summarise(errors).mean}]
-
-    def rank(self, row: Row) -> float | None:
-        """By that."""
-        error: float | None = row["count_error"]
-        return error
