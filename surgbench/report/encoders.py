@@ -1,7 +1,8 @@
-"""What writes videos: H.264, which browsers and editors play, where there is an encoder; else MPEG-4 Part 2."""
+"""What writes videos: H.264, which everything plays, where there is an encoder; else VP9, which browsers play too."""
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Callable
 from fractions import Fraction
 from functools import cache
@@ -19,6 +20,7 @@ from surgbench.report.drawing import Picture
 QUALITY = "18"
 # Of a second that a frame's time is told in: 29.97 frames a second are 30000/1001.
 MOST_PARTS = 1001
+VP9, MPEG4 = "vp09", "mp4v"
 NOT_PLAYED = (
     "videos are MPEG-4 Part 2 (mp4v), which browsers and VS Code do not play; for H.264: pip install 'surgbench[video]'"
 )
@@ -89,10 +91,11 @@ class H264Encoder:
 
 
 class OpenCVEncoder:
-    """MPEG-4 Part 2 by OpenCV, whose wheels have no encoder for H.264."""
+    """VP9 by OpenCV, whose wheels have no encoder for H.264; where its build has none for VP9 either, MPEG-4 Part 2."""
 
     def __init__(self, path: Path, width: int, height: int, fps: float) -> None:
-        self._writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), fps, (width, height))
+        codec = VP9 if has_vp9() else MPEG4
+        self._writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*codec), fps, (width, height))
         if not self._writer.isOpened():
             raise SurgbenchError(f"{path}: cannot be written (OpenCV could not open it for MP4 video)")
 
@@ -118,6 +121,21 @@ def has_h264() -> bool:
         return False
 
 
+@cache
+def has_vp9() -> bool:
+    """Whether OpenCV has an encoder for VP9."""
+    with tempfile.TemporaryDirectory() as folder:
+        writer = cv2.VideoWriter(str(Path(folder, "a.mp4")), cv2.VideoWriter.fourcc(*VP9), 30.0, (64, 48))
+        found = writer.isOpened()
+        writer.release()
+    return found
+
+
+def browsers_play() -> bool:
+    """Whether videos are such as browsers play."""
+    return has_h264() or has_vp9()
+
+
 def best_encoder() -> Callable[[Path, int, int, float], Encoder]:
     """What opens a video for writing: H.264 where it can be had."""
     return H264Encoder if has_h264() else OpenCVEncoder
@@ -125,4 +143,4 @@ def best_encoder() -> Callable[[Path, int, int, float], Encoder]:
 
 def codec_note() -> str | None:
     """One line for the user where videos will not play in browsers; else ``None``."""
-    return None if has_h264() else NOT_PLAYED
+    return None if browsers_play() else NOT_PLAYED

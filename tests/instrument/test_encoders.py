@@ -73,8 +73,21 @@ def test_a_full_disk_is_one_line_and_leaves_nothing(tmp_path: Path, monkeypatch:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_without_an_encoder_for_h264_it_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_h264_videos_are_vp9_which_browsers_play(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(encoders, "has_h264", lambda: False)
+    assert encoders.codec_note() is None
+    write_video(tmp_path / "a.mp4", pictures(5), 29.97)
+    codec, frames, rate = look_at(tmp_path / "a.mp4")
+    assert (codec.lower(), len(frames)) == ("vp90", 5)
+    assert rate == pytest.approx(29.97, abs=0.01)
+    for number, frame in enumerate(frames):
+        assert frame[24, 32, 0] == pytest.approx(100 + 20 * number, abs=6)
+        assert frame[24, 32, 1:].max() < 12
+
+
+def test_without_either_encoder_it_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("has_h264", "has_vp9"):
+        monkeypatch.setattr(encoders, name, lambda: False)
     note = encoders.codec_note()
     assert note is not None
     assert "pip install 'surgbench[video]'" in note

@@ -21,7 +21,6 @@ from paged import ATTACK, MARKUP, hostile, ordinary, page_of, pictured, silent
 
 from surgbench.errors import DatasetError, NotFoundError
 from surgbench.records.reader import read_records
-from surgbench.report.encoders import has_h264
 from surgbench.report.page.boards import grouped
 from surgbench.report.page.build import MOST_BYTES, build_page, embedded, read, render
 from surgbench.report.page.content import Page, clipped
@@ -159,8 +158,8 @@ def test_moments_are_drawn_and_filmed(tmp_path: Path) -> None:
     page = page_of(runs)
     assert len(re.findall(r'<img src="data:image/webp;base64,', page)) == 6
     assert 'alt="worst moment of near on 000-right, frame 3: mask error 0.080"' in page
-    assert len(re.findall(r'src="data:video/mp4;base64,', page)) == (6 if has_h264() else 0)
-    assert (NO_FILMS.partition(":")[0] in page) == (not has_h264())
+    assert len(re.findall(r'src="data:video/mp4;base64,', page)) == 6
+    assert NO_FILMS.partition(":")[0] not in page
     moved = tmp_path / "moved"
     (tmp_path / "pairs").rename(moved)
     assert "<img" not in page_of(runs)
@@ -186,7 +185,7 @@ def test_a_picture_that_cannot_be_read_is_said_without_where_it_lies(tmp_path: P
 @pytest.mark.slow
 def test_without_an_encoder_there_are_stills_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for module in ("pictures", "build"):
-        monkeypatch.setattr(f"surgbench.report.page.{module}.has_h264", lambda: False)
+        monkeypatch.setattr(f"surgbench.report.page.{module}.browsers_play", lambda: False)
     page = page_of(pictured(tmp_path))
     assert "<img" in page
     assert "<video" not in page

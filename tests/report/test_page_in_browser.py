@@ -179,11 +179,23 @@ def test_marked_moments_show_their_pictures(browser: Any, with_pictures: Path) -
     assert image.evaluate("(image) => image.decode().then(() => image.naturalWidth)") == 88
     reader.page.get_by_role("button", name="frame 0: mask error 0.020", exact=True).click()
     assert "best moment of near" in str(image.get_attribute("alt"))
+    assert film_plays(reader)
+    reader.leave()
+
+
+def film_plays(reader: Reader) -> bool:
     clip = reader.page.locator("details.clip").first
-    if clip.count():
-        clip.locator("summary").click()
-        played = "(video) => video.play().then(() => video.videoWidth, (error) => String(error))"
-        assert clip.locator("video").evaluate(played) == 88
+    clip.locator("summary").click()
+    played = "(video) => video.play().then(() => video.videoWidth, (error) => String(error))"
+    return bool(clip.locator("video").evaluate(played) == 88)
+
+
+def test_films_play_without_the_extra_too(browser: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("surgbench.report.encoders.has_h264", lambda: False)
+    page = tmp_path / "page.html"
+    page.write_text(page_of(pictured(tmp_path)), encoding="utf-8")
+    reader = Reader(browser, page)
+    assert film_plays(reader)
     reader.leave()
 
 

@@ -14,7 +14,7 @@ from typing import Any
 from jinja2 import Environment, StrictUndefined
 
 from surgbench.records.format import Record
-from surgbench.report.encoders import has_h264
+from surgbench.report.encoders import browsers_play
 from surgbench.report.page.boards import board, grouped
 from surgbench.report.page.content import Page, clipped
 from surgbench.report.page.curves import curves_of
@@ -73,7 +73,7 @@ def build_page(
     drawer = Pictures(MOST_BYTES - len(render(Page(**parts))), known, dataset, tell)
     galleries = tuple(drawer.draw(drawings, progress))
     notes = list(drawer.problems)
-    if galleries and not has_h264():
+    if galleries and not browsers_play():
         notes.append(NO_FILMS)
     if drawer.full:
         notes.append(FULL.format(MOST_BYTES // 1_000_000))

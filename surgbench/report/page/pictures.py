@@ -15,7 +15,7 @@ from surgbench.dataset.open import open_dataset
 from surgbench.errors import DatasetError, SurgbenchError
 from surgbench.records.format import Record
 from surgbench.report.drawing import Picture
-from surgbench.report.encoders import has_h264
+from surgbench.report.encoders import browsers_play
 from surgbench.report.filmed import Filmed
 from surgbench.report.movie import write_video
 from surgbench.report.page.content import Filmstrip, Gallery, clipped
@@ -26,7 +26,7 @@ AROUND_S = 1.0  # that a film shows before and after its moment
 AROUND_BYTES = 1000  # that the page has beside a picture: its caption, its place
 QUALITY = 80  # of WebP
 NO_FILMS = (
-    "There are no films: this page was made without an encoder for H.264, which browsers play "
+    "There are no films: this page was made without an encoder for what browsers play, H.264 or VP9 "
     "(pip install 'surgbench[video]')."
 )
 FULL = "Some pictures or films are left out: the page would be larger than {} MB."
@@ -80,7 +80,7 @@ class Pictures:
         stills: dict[str, Still] = {}
         clips: dict[str, str] = {}
         legends: dict[int, str] = {}
-        films = has_h264()
+        films = browsers_play()
         total = sum(len(one.choices) for one in drawings) * (2 if films else 1)
         if not total:
             return []
