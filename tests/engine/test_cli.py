@@ -83,6 +83,7 @@ def run_main(*arguments: str) -> None:
     """The command in this process, whatever its exit code."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sys, "argv", ["surgbench", *arguments])
+        patch.setattr(sys.modules["__main__"], "__package__", None)  # else it takes pytest's name for its own
         with pytest.raises(SystemExit):
             main()
 
