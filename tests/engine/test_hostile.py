@@ -142,7 +142,11 @@ def test_nobody_waits_for_a_pipe(file: str, root: Path) -> None:
 def test_a_device_is_no_file(root: Path) -> None:
     (root / MASK).unlink()
     (root / MASK).symlink_to("/dev/zero")
-    assert validate(root) == [f"{root / MASK}: cannot be read (Not a regular file)"]
+    assert validate(root) == [
+        f"{root / MASK}: a link that leads out of the dataset's folder; put the file itself there"
+    ]
+    with pytest.raises(OSError, match="Not a regular file"):
+        read_whole(root / MASK)
 
 
 def test_a_file_without_end_is_not_read(tmp_path: Path) -> None:

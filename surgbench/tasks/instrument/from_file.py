@@ -145,7 +145,7 @@ class _FileRun(Run):
         self._arms = arms
 
     @contextmanager
-    def child(self, module: str, timeout_s: float) -> Iterator[Child]:
+    def child(self, module: str, timeout_s: float, memory: str | None = None) -> Iterator[Child]:
         yield cast("Child", _File(self._arms))  # what is asked of a child, it can do
 
 
