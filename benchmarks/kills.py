@@ -38,6 +38,8 @@ MARK = "SURGBENCH_KILLS"
 MOST_IN_A_ROW = 4
 # A process whose parent is gone notices within a second; on a busy machine later.
 NOTICED_S = 30.0
+# What an import says of a folder that is not empty.
+WHOLE_ALREADY = "holds something already"
 # What a record says of the time that something took, and of itself.
 TIMES = ("latency", "initialise_s", "calibration_ms", "seal")
 TRAINING = """
@@ -117,14 +119,19 @@ def trials(command: str, kills: int, seed: int, folder: Path) -> Result:
         for _ in range(min(rng.randint(1, MOST_IN_A_ROW), kills - killed)):
             moment, all_of_it = rng.uniform(0.0, seconds), rng.random() < 0.5
             before = written(trial / "out")
-            at_work = kill_after(moment, all_of_it, start(words, trial / "out", trial / "tmp", heard=False))
+            process = start(words, trial / "out", trial / "tmp", heard=False)
+            at_work = kill_after(moment, all_of_it, process)
             found += changed(before, trial / "out")
             moments.append(f"{moment:.2f} s {'all' if all_of_it else 'alone'}{'' if at_work else ' (ended before)'}")
             killed, ended, group = killed + at_work, ended + (not at_work), group + (at_work and all_of_it)
             if not at_work:
                 break
         before = written(trial / "out")
-        found += ended_well(start(words, trial / "out", trial / "tmp"))
+        if at_work or process.returncode != 0:
+            process = start(words, trial / "out", trial / "tmp")
+            said = ended_well(process)
+            # An import that was killed once its folder had been put in its place is whole.
+            found += [one for one in said if command != "import" or WHOLE_ALREADY not in one]
         found += changed(before, trial / "out")
         found += differences(content(trial / "out"), whole)
         found += [f"{path.name}: left behind" for path in trial.iterdir() if path.name not in ("out", "tmp")]

@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from surgbench.camera import Camera
-from surgbench.config import Finite, Name, Positive, Section
+from surgbench.config import Finite, Name, Section, Step
 from surgbench.dataset.manifest import Frames, Manifest, observations_path
 from surgbench.geometry import is_rigid
 
@@ -143,7 +143,7 @@ class SequenceEntry(Section):
 
     id: Name
     frames: Frames
-    dt_s: Positive
+    dt_s: Step
     speed: Literal["nominal", "fast"] = "nominal"
     camera: str
     arms: Annotated[tuple[Arm, ...], Field(min_length=1, max_length=2)]
