@@ -8,15 +8,12 @@ import numpy as np
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from surgbench.camera.lens import DistortionModel, Lens, coefficients_problem, lens
-from surgbench.config import Finite, Section
+from surgbench.config import Finite, Positive, Section
 from surgbench.errors import ConfigError
 from surgbench.geometry import FloatArray
 
 # Surfaces nearer to the camera plane than this are not seen.
 NEAR_M = 1e-3
-# Pixels: no lens has more or less, and with what is far off, sizes and gradients are no numbers.
-_Focal = Annotated[float, Field(ge=1e-3, le=1e7, allow_inf_nan=False)]
-_Centre = Annotated[float, Field(ge=-1e7, le=1e7, allow_inf_nan=False)]
 
 
 class Camera(Section):
@@ -38,10 +35,10 @@ class Camera(Section):
 
     width: Annotated[int, Field(gt=0, le=16384)]
     height: Annotated[int, Field(gt=0, le=16384)]
-    fx: _Focal
-    fy: _Focal
-    cx: _Centre
-    cy: _Centre
+    fx: Positive
+    fy: Positive
+    cx: Finite
+    cy: Finite
     distortion: tuple[Finite, ...] = ()
     distortion_model: DistortionModel = "opencv"
 
