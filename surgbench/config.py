@@ -23,6 +23,8 @@ Model = TypeVar("Model", bound=BaseModel)
 # Types of values that files and options hold.
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+# Between frames, seconds: from a microsecond to a day.
+Step = Annotated[float, Field(ge=1e-6, le=86_400, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Count = Annotated[int, Field(ge=1)]
 # Of datasets, sequences, views and arms: they become names of files.

@@ -93,6 +93,14 @@ def run(
         float | None,
         typer.Option(metavar="S", help="Longest wait for one answer of a tracker; default: 120.", rich_help_panel=HOW),
     ] = None,
+    memory: Annotated[
+        str | None,
+        typer.Option(
+            metavar="SIZE",
+            help="What a tracker's process may use, as 2GB, with what it starts; default: no limit.",
+            rich_help_panel=HOW,
+        ),
+    ] = None,
     device: Annotated[
         Literal["cpu", "cuda"] | None,
         typer.Option(help="Where trackers score candidates; default: cpu.", rich_help_panel=HOW),
@@ -136,7 +144,10 @@ def run(
     from surgbench.suite.suites import from_command_line, load_suite, parse_sets
 
     row = {**asked, **_shorthand(asked, joints, no_joints), "sequences": sequences, "frames": frames}
-    conditions = {"arms": arms, "seed": seed, "repeats": repeats, "timeout_s": timeout, "device": device}
+    conditions = {
+        **{"arms": arms, "seed": seed, "repeats": repeats},
+        **{"timeout_s": timeout, "memory": memory, "device": device},
+    }
     base = None if suite is None else load_suite(suite)
     suite_ = from_command_line(base, tracker or [], row, conditions)
     overrides = parse_sets(set_ or [])

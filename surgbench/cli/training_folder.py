@@ -50,7 +50,7 @@ def load_file(model: type[File], reference: str, changes: Mapping[str, Any]) -> 
 
 
 def refuse_other_content(out: Path, more: Iterable[str] = ()) -> None:
-    """Raise where a folder holds what no training has written.
+    """Raise where a folder holds what no training has written; what a killed one has left half written is removed.
 
     Args:
         out: The folder.
@@ -64,6 +64,9 @@ def refuse_other_content(out: Path, more: Iterable[str] = ()) -> None:
     strangers = [name for name in names if name not in own and not name.endswith(PARTIAL_SUFFIX)]
     if strangers:
         raise SurgbenchError(f"{out}: holds something else ('{strangers[0]}'); --out needs a new or empty folder")
+    for name in names:
+        if name.endswith(PARTIAL_SUFFIX) and any(name.startswith(f"{one}.") for one in own):
+            (out / name).unlink()
 
 
 def write_settings(out: Path, settings: Mapping[str, Any]) -> None:

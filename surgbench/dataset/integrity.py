@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 
 from surgbench.dataset.manifest import MANIFEST_NAME, FileEntry, Manifest
@@ -23,6 +23,47 @@ def difference(path: Path, data: bytes, listed: FileEntry) -> str | None:
     if found != listed:
         return f"{path}: altered, its SHA-256 is not the one in {MANIFEST_NAME}"
     return None
+
+
+def check_inside(root: Path, path: Path) -> None:
+    """See that a file of a dataset lies in the dataset's folder, wherever links lead.
+
+    Raises:
+        DatasetError: It does not; one line.
+    """
+    if not path.resolve().is_relative_to(root.resolve()):
+        raise DatasetError(f"{path}: a link that leads out of the dataset's folder; put the file itself there")
+
+
+def read_listed(root: Path, file: str, files: Mapping[str, FileEntry]) -> bytes:
+    """The bytes of one of a dataset's files, which must be those that the manifest lists.
+
+    Args:
+        root: The dataset's folder.
+        file: Below it.
+        files: What the manifest lists.
+
+    Raises:
+        DatasetError: It is not listed, missing, altered, or lies elsewhere; one line.
+    """
+    path = root / file
+    if file not in files:
+        raise DatasetError(f"{path}: not listed in {MANIFEST_NAME}, but its sequence needs it")
+    check_inside(root, path)
+    return read_unaltered(path, files[file])
+
+
+def read_unaltered(path: Path, listed: FileEntry) -> bytes:
+    """A file's bytes, which must be as listed.
+
+    Raises:
+        DatasetError: They are not, or it cannot be read; one line.
+    """
+    data = read_bytes(path)
+    problem = difference(path, data, listed)
+    if problem is not None:
+        raise DatasetError(problem)
+    return data
 
 
 def check_files(
@@ -52,6 +93,7 @@ def check_files(
     for file, listed in sorted(manifest.files.items()):
         progress(1)
         try:
+            check_inside(root, root / file)
             data = read_bytes(root / file)
         except DatasetError as error:
             problems.append(str(error))

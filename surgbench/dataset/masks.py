@@ -103,24 +103,6 @@ def decode_image(data: bytes, name: str, width: int, height: int) -> NDArray[np.
     return as_rgb(decode_picture(data, name, width, height))
 
 
-def read_depth(path: Path, width: int, height: int) -> NDArray[np.uint16]:
-    """Read a depth picture, ``(height, width)`` of 16 bits.
-
-    Raises:
-        DatasetError: It is missing, truncated, of another size or of another depth; one line that names it.
-    """
-    return np.asarray(decode_levels(read_bytes(path), str(path), width, height, np.uint16), np.uint16)
-
-
-def read_links(path: Path, width: int, height: int) -> NDArray[np.uint8]:
-    """Read a picture of numbered links, ``(height, width)`` of 8 bits.
-
-    Raises:
-        DatasetError: As for :func:`read_depth`.
-    """
-    return np.asarray(decode_levels(read_bytes(path), str(path), width, height, np.uint8), np.uint8)
-
-
 def decode_levels(data: bytes, name: str, width: int, height: int, kind: type[np.generic]) -> NDArray[np.generic]:
     """Decode a grey picture of numbers.
 

@@ -10,10 +10,14 @@ import sys
 import time
 from collections.abc import Mapping
 from multiprocessing.connection import Pipe
+from secrets import token_hex
 from threading import Lock
 from typing import Any
 
-from surgbench.processes.service import CALIBRATE, COMPILING
+from surgbench.processes.ending import MARK, end_marked
+from surgbench.processes.memory import LOOK_INTERVAL_S, MemoryLimit
+from surgbench.processes.printed import Printed
+from surgbench.processes.service import CALIBRATE, COMPILING, LINE_CLOSED
 from surgbench.processes.threads import THREADS
 
 # The reference work may have to be compiled first, on a busy machine.
@@ -26,12 +30,18 @@ START_TIMEOUT_S = 120.0
 # Between two looks at whether it is there at all, while it says nothing.
 _LOOK_INTERVAL_S = 1.0
 
+# Who hangs up is about to end; who is still there after this has closed the line and goes on.
+_PARTING_S = 5.0
+
+
+_CLOSED = "closed the line on which it answers"
+
 
 class ChildProblemError(Exception):
     """A run cannot go on.
 
     Attributes:
-        status: ``failed`` (raised), ``invalid`` (no state), ``timeout`` or ``exited``.
+        status: ``failed`` (raised), ``invalid`` (no state), ``timeout``, ``exited`` or ``memory`` (used too much).
         traceback: The child's, where there is one.
     """
 
@@ -44,8 +54,10 @@ class ChildProblemError(Exception):
 class Child:
     """A tracker's process. Use it as a context manager: it is gone afterwards, whatever happened.
 
-    So is what it has started: it has a session and a group of its own, which are ended with it. Else the helpers of a
-    tracker would go on working, and whoever reads the output of this command would wait for them.
+    So is what it has started: it has a session and a group of its own, which are ended with it, and a mark in its
+    environment, by which those are found that have left both. Else the helpers of a tracker would go on working, and
+    whoever reads the output of this command would wait for them. What any of them prints goes to standard error, up to
+    a bound (:mod:`surgbench.processes.printed`).
 
     Args:
         timeout_s: The longest silence that is waited for, once it has said that it is ready. While a function is
@@ -53,6 +65,7 @@ class Child:
         module: What it runs.
         environment: What its environment has besides, or otherwise than, this process's.
         arguments: What the module is told besides.
+        memory: How much it and what it starts may use, as ``"2 GB"``; whatever there is unless told.
         folder: Its working directory; ``None``: this process's.
 
     Attributes:
@@ -65,17 +78,24 @@ class Child:
         module: str,
         environment: Mapping[str, str] = THREADS,
         arguments: tuple[str, ...] = (),
+        memory: str | None = None,
         folder: str | None = None,
     ) -> None:
         self.timeout_s = timeout_s
+        self._memory = None if memory is None else MemoryLimit(memory)
         self._connection, theirs = Pipe()
+        self._mark = token_hex(16)
+        self._printed = Printed()
         self._process = subprocess.Popen(
             [sys.executable, "-m", module, str(theirs.fileno()), *arguments],
             pass_fds=[theirs.fileno()],
-            env={**os.environ, **environment},
+            env={**os.environ, **environment, MARK: self._mark},
+            stdout=self._printed.theirs,
+            stderr=self._printed.theirs,
             start_new_session=True,
             cwd=folder,
         )
+        self._printed.begin()
         self._ending = Lock()
         theirs.close()
 
@@ -101,7 +121,9 @@ class Child:
         """End the process and hang up."""
         self.kill()
         self._wait()
+        end_marked(self._mark)
         self._connection.close()
+        self._printed.end()
 
     def _wait(self) -> int:
         """Its exit code, once it has ended; what it has started ends then."""
@@ -140,9 +162,7 @@ class Child:
                     raise ChildProblemError("timeout", f"no answer within {patience_s:g} s")
                 message = self._connection.recv()
         except (EOFError, OSError):
-            code = self._wait()
-            reason = f"killed by signal {-code}" if code < 0 else f"exited with code {code}"
-            raise ChildProblemError("exited", f"the tracker's process {reason}") from None
+            raise ChildProblemError("exited", f"the tracker's process {self._how_it_ended()}") from None
         if message[0] == "problem":
             raise ChildProblemError(*message[1:])
         return message
@@ -152,14 +172,36 @@ class Child:
 
         Raises:
             EOFError: It has ended, and only what it has started holds the line.
+            ChildProblemError: They use more memory than they may.
         """
         deadline = time.monotonic() + patience_s
-        while not self._connection.poll(max(0.0, min(_LOOK_INTERVAL_S, deadline - time.monotonic()))):
+        interval_s = _LOOK_INTERVAL_S if self._memory is None else LOOK_INTERVAL_S
+        self._check_memory()  # also of one that never makes anybody wait
+        while not self._connection.poll(max(0.0, min(interval_s, deadline - time.monotonic()))):
+            self._check_memory()
             if self._has_ended() and not self._connection.poll(0):
                 raise EOFError
             if time.monotonic() >= deadline:
                 return False
         return True
+
+    def _check_memory(self) -> None:
+        if self._memory is not None and self._memory.exceeded(self.pid):
+            raise ChildProblemError("memory", f"used more than {self._memory.size} of memory")
+
+    def _how_it_ended(self) -> str:
+        """In a few words, of one who has hung up."""
+        deadline = time.monotonic() + _PARTING_S
+        while not self._has_ended():
+            if time.monotonic() > deadline:
+                return _CLOSED
+            time.sleep(0.01)
+        code = self._wait()
+        if code == -signal.SIGKILL:
+            return "was killed (signal 9), as the system does when memory is used up"
+        if code < 0:
+            return f"was killed by signal {-code} ({signal.strsignal(-code) or 'unknown'})"
+        return _CLOSED if code == LINE_CLOSED else f"exited with code {code}"
 
     def _has_ended(self) -> bool:
         try:

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import contextlib
+import errno
+import io
 import os
 import signal
 import sys
 import traceback
 from collections.abc import Callable
 from multiprocessing.connection import Connection
+from pathlib import Path
 from threading import Lock
 from typing import Any
 
@@ -21,6 +24,10 @@ from surgbench.processes.streams import print_whatever_comes
 COMPILING = ("compiling",)
 # A message that every child answers, with ("calibrated", milliseconds of each turn of the reference work).
 CALIBRATE = ("calibrate",)
+# How a child ends that finds the line closed, as by a plug-in that closes all descriptors.
+LINE_CLOSED = 97
+# Characters of what a plug-in raises that are told: of its words the first, of its traceback the last.
+MOST_WORDS, MOST_TRACEBACK = 2000, 20_000
 
 Tell = Callable[..., None]
 # Takes what to send in between, and a message; returns the answer, a tuple.
@@ -38,10 +45,33 @@ def serve_parent(answer: Answer) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     print_whatever_comes()  # before stdout is another file: the stream may believe that it can seek in it
     os.dup2(2, 1)
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(line_buffering=True)  # it may end before it writes what it holds back
+    _be_ended_first()
     line = int(sys.argv[1])
     os.set_inheritable(line, False)  # a program that a plug-in starts would hold it open
-    serve(Connection(line), answer)
-    end_all()
+    os.register_at_fork(after_in_child=lambda: _take_away(line))
+    try:
+        serve(Connection(line), answer)
+    except OSError as error:
+        if error.errno == errno.EBADF:
+            os._exit(LINE_CLOSED)
+        raise
+    finally:
+        end_all()
+
+
+def _take_away(line: int) -> None:
+    """Give a copy of this process, which a plug-in has made, another end of the line: it answers nobody, and ends."""
+    nowhere = os.open(os.devnull, os.O_RDWR)
+    os.dup2(nowhere, line, inheritable=False)
+    os.close(nowhere)
+
+
+def _be_ended_first() -> None:
+    """Have the system end this process, and not the command that waits for it, when memory is used up."""
+    with contextlib.suppress(OSError):
+        Path("/proc/self/oom_score_adj").write_text("500")
 
 
 def calibrate() -> tuple[Any, ...]:
@@ -88,13 +118,30 @@ def _serve(connection: Connection, answer: Answer, tell: Tell) -> None:
     while True:
         try:
             message = connection.recv()
-        except (EOFError, OSError):  # the latter where the parent was killed before it had read everything
+        except (EOFError, ConnectionResetError):  # the latter where the parent was killed before it had read everything
             return
         try:
-            tell(*(calibrate() if _asks_to_calibrate(message) else answer(tell, *message)))
-        except Exception as error:
-            invalid = isinstance(error, InvalidAnswerError)
-            line = " ".join((str(error) if invalid else f"{type(error).__name__}: {error}").split())
-            with contextlib.suppress(OSError):  # the parent may be gone
-                tell("problem", "invalid" if invalid else "failed", line, traceback.format_exc())
+            answered = calibrate() if _asks_to_calibrate(message) else answer(tell, *message)
+        except BaseException as error:  # also of sys.exit, after which threads of a plug-in would be waited for
+            answered = _problem(error)
+        try:
+            tell(*answered)
+        except (BrokenPipeError, ConnectionResetError):  # the parent is gone
             return
+        if answered[0] == "problem":
+            return
+
+
+def _problem(error: BaseException) -> tuple[Any, ...]:
+    """What is told of what a plug-in has raised."""
+    try:
+        words = " ".join(str(error).split())[:MOST_WORDS]
+        trace = traceback.format_exc()[-MOST_TRACEBACK:]
+    except Exception:  # raised by the error itself
+        words, trace = "which cannot be put in words", ""
+    if isinstance(error, SystemExit):
+        code = error.code if isinstance(error.code, int) else int(error.code is not None)
+        return ("problem", "exited", f"the tracker's process exited with code {code}", trace)
+    if isinstance(error, InvalidAnswerError):
+        return ("problem", "invalid", words, trace)
+    return ("problem", "failed", f"{type(error).__name__}: {words}", trace)

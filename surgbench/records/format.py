@@ -13,6 +13,7 @@ RECORD_FORMAT = "surgbench-record-2"
 UNSEALED_FORMAT = "surgbench-record-1"  # still read
 FORMATS = (UNSEALED_FORMAT, RECORD_FORMAT)
 FORMAT_STEM = "surgbench-record-"
+DEFAULT = "default"  # the variant of a row whose options nobody has set
 SKIPPED = "skipped"  # the status of a run that the machine lacks something for
 
 Number = float | None

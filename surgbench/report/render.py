@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from surgbench.records.format import SKIPPED
+from surgbench.records.format import DEFAULT, SKIPPED
 from surgbench.report.column import ROW, STATUS, VARIANT
 from surgbench.report.field import keys
 from surgbench.report.fold import TABLE_WIDTH, Head, plain, print_folded
@@ -82,6 +82,8 @@ def print_leaderboard(rows: Sequence[Row], console: Console) -> None:
         columns, ranking = set_columns(group), Ranking(group)
         if VARIANT in columns and not variant_tells(group):  # it is long, and the least that is looked for
             columns = [*(column for column in columns if column is not VARIANT), VARIANT]
+        if all(row["variant"] == DEFAULT for row in group):
+            columns = [column for column in columns if column is not VARIANT]
         heads = [Head(column.short, is_text=column in (ROW, VARIANT) or column.key == PROCESSOR) for column in columns]
         lines = [
             [Text(column.cell(row), style="bold" if ranking.place(column, row) == 1 else "") for column in columns]

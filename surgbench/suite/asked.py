@@ -8,6 +8,7 @@ from pydantic import Field
 
 from surgbench.config import Count, Section
 from surgbench.kinds import NAME_PATTERN
+from surgbench.processes.memory import Size
 
 Device = Literal["cpu", "cuda"]
 
@@ -31,12 +32,18 @@ class RowRequest(Section):
 
 
 class Conditions(Section):
-    """What all rows of a run share."""
+    """What all rows of a run share.
+
+    Attributes:
+        timeout_s: The longest wait for one answer of a tracker.
+        memory: How much its process and what that starts may use together, as ``2GB``; whatever there is unless told.
+    """
 
     arms: Literal["single", "dual"] = "single"
     seed: Annotated[int, Field(ge=0)] = 0
     repeats: Count = 1
     timeout_s: Annotated[float, Field(gt=0)] = 120.0
+    memory: Size | None = None
     device: Device = "cpu"
 
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import glob
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from surgbench.errors import SurgbenchError
-from surgbench.locks import locked_beside
+from surgbench.files import PARTIAL_SUFFIX
+from surgbench.locks import LOCK_SUFFIX, locked_beside
 
 
 @contextmanager
@@ -28,7 +30,17 @@ def claim(record: Path) -> Iterator[bool]:
             ours = held.enter_context(locked_beside(record))
         except OSError as error:
             raise cannot_write(record, error) from None
+        if ours:
+            for left in record.parent.glob(f"{glob.escape(record.name)}.*{PARTIAL_SUFFIX}"):
+                left.unlink(missing_ok=True)  # by a call that was killed: nobody else writes while we hold the lock
         yield ours
+
+
+def tidy(record: Path) -> None:
+    """Remove what a call that was killed has left beside a record that is there."""
+    if record.with_name(record.name + LOCK_SUFFIX).exists():
+        with suppress(OSError, SurgbenchError), claim(record):  # where nothing can be written, it stays
+            pass
 
 
 def cannot_write(path: Path, error: OSError) -> SurgbenchError:

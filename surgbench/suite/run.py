@@ -5,12 +5,12 @@ Several calls at once into one folder share the work: a job that another one is 
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import Any, NamedTuple
 
 from surgbench.dataset.base import Dataset
@@ -21,7 +21,7 @@ from surgbench.locks import LOCK_SUFFIX
 from surgbench.records.format import FORMATS, SKIPPED
 from surgbench.records.reader import check_written
 from surgbench.records.seal import check_seal, sealed
-from surgbench.suite.claim import cannot_write, claim
+from surgbench.suite.claim import cannot_write, claim, tidy
 from surgbench.suite.head import head, skipped
 from surgbench.suite.perform import Workplace
 from surgbench.suite.running import Run
@@ -101,10 +101,11 @@ def probe_output(out: Path) -> None:
     Raises:
         SurgbenchError: It cannot.
     """
-    probe = out / f"probe.{os.getpid()}{PARTIAL_SUFFIX}"
     try:
-        write_atomic(probe, bytes(1 << 16))
-        probe.unlink()
+        out.mkdir(parents=True, exist_ok=True)
+        with TemporaryFile(dir=out) as probe:  # without a name, so that nothing is left where this process is killed
+            probe.write(bytes(1 << 16))
+            probe.flush()
     except OSError as error:
         raise cannot_write(out, error) from None
 
@@ -128,6 +129,7 @@ def make_plan(jobs: list[Job], out: Path, retry_failed: bool = True, again: bool
         record = None if again else _recorded(path, job)
         if record is not None and (record["status"] == "ok" or not retry_failed):
             done += 1
+            tidy(path)
             continue
         todo.append(job)
         if stamp is not None:

@@ -78,7 +78,7 @@ class Run:
             raise ChildProblemError("failed", "stopped")
 
     @contextmanager
-    def child(self, module: str, timeout_s: float) -> Iterator[Child]:
+    def child(self, module: str, timeout_s: float, memory: str | None = None) -> Iterator[Child]:
         """A child process that is ended with the block, or with the run.
 
         Before and after the block the reference work (:mod:`surgbench.processes.reference_work`) is timed in it.
@@ -86,12 +86,13 @@ class Run:
         Args:
             module: What it runs.
             timeout_s: The longest silence that is waited for.
+            memory: How much it may use, as ``"2 GB"``.
 
         Raises:
             ChildProblemError: The run is being ended.
         """
         self.check()
-        child = Child(timeout_s, module, folder=self._folder)
+        child = Child(timeout_s, module, memory=memory, folder=self._folder)
         self._children.add(child)
         try:
             self.check()  # it may have been ended while the process began

@@ -7,6 +7,7 @@ from typing import Any, ClassVar
 
 from surgbench.dataset.base import Unit
 from surgbench.files import short_hash
+from surgbench.records.format import DEFAULT
 from surgbench.suite.asked import Conditions
 
 
@@ -95,7 +96,7 @@ class Settings:
     @property
     def variant(self) -> str:
         """What differs from the defaults, in a few words."""
-        return ", ".join(self.words()) or "default"
+        return ", ".join(self.words()) or DEFAULT
 
     def words(self) -> list[str]:
         """The parts of the variant."""

@@ -142,7 +142,90 @@ def test_nobody_waits_for_a_pipe(file: str, root: Path) -> None:
 def test_a_device_is_no_file(root: Path) -> None:
     (root / MASK).unlink()
     (root / MASK).symlink_to("/dev/zero")
-    assert validate(root) == [f"{root / MASK}: cannot be read (Not a regular file)"]
+    assert validate(root) == [
+        f"{root / MASK}: a link that leads out of the dataset's folder; put the file itself there"
+    ]
+    with pytest.raises(OSError, match="Not a regular file"):
+        read_whole(root / MASK)
+
+
+@pytest.mark.parametrize("target", ["/etc/hostname", "../../../../../elsewhere.png"])
+@pytest.mark.parametrize("file", [MASK, TABLE])
+def test_no_link_leads_out_of_a_dataset(
+    target: str, file: str, root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Though what it leads to be the very file."""
+    (tmp_path / "elsewhere.png").write_bytes((root / file).read_bytes())
+    (root / file).unlink()
+    (root / file).symlink_to(target)
+    line = f"{root / file}: a link that leads out of the dataset's folder; put the file itself there"
+    assert validate(root) == [line]
+    surgbench(*RUN, "--dataset", root, "--tracker", "cmaes", "--out", tmp_path / "runs", expect=2)
+    assert capsys.readouterr().err.splitlines()[-1] == f"surgbench: {line}"
+    (root / file).unlink()
+    (root / f"{file}.real").write_bytes((tmp_path / "elsewhere.png").read_bytes())
+    (root / file).symlink_to(f"{Path(file).name}.real")
+    assert open_dataset(root).sequence("000").mask("left", 1).any()  # within it, it may lead anywhere
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [("dt_s", 1e-320), ("dt_s", 1e300), ("fx", 1e300), ("fy", 1e-300), ("cx", 1e300), ("cy", -1e300)],
+)
+def test_numbers_that_no_camera_has_are_refused(
+    key: str, value: float, root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """They made a run take minutes, and end in no numbers."""
+    said = (
+        "'sequences.0.dt_s': Input should be " if key == "dt_s" else f"camera 'camera': {key} is {value:g}; expected "
+    )
+
+    def change(manifest: dict[str, Any]) -> None:
+        (manifest["sequences"][0] if key == "dt_s" else manifest["cameras"]["camera"]).update({key: value})
+
+    alter(root, change)
+    surgbench(*RUN, "--dataset", root, "--tracker", "cmaes", "--out", tmp_path / "runs", expect=2)
+    told = capsys.readouterr().err
+    assert told.startswith(f"surgbench: {root}/dataset.json: {said}")
+    assert told.count("\n") == 1
+
+
+def test_a_dataset_without_its_truth_is_told(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    shutil.rmtree(root / "truth")
+    surgbench(*RUN, "--dataset", root, "--tracker", "cmaes", "--out", tmp_path / "runs", expect=2)
+    told = capsys.readouterr().err.splitlines()[-1]
+    assert told == f"surgbench: {root}/truth/000/states.parquet: missing"
+    assert all(problem.endswith(": missing") for problem in validate(root))
+
+
+ALIASES = "a0: &a0 [1, 1]\n" + "".join(f"a{n}: &a{n} [*a{n - 1}, *a{n - 1}]\n" for n in range(1, 40))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("text", [ALIASES, "a: " + "[" * 5000 + "]" * 5000, "name: &a {b: *a}\n"])
+def test_no_file_of_settings_takes_all_memory(
+    text: str, root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file, out = tmp_path / "file.yaml", ("--out", tmp_path / "out")
+    file.write_text(text)
+    recording = tmp_path / "recording"
+    (recording / "masks").mkdir(parents=True)
+    (recording / "masks/000000.png").write_bytes((root / MASK).read_bytes())
+    (tmp_path / "motion.csv").write_text("t,x,y,z,qx,qy,qz,qw\n0,1,2,3,0,0,0,1\n0.1,1,2,3,0,0,0,1\n")
+    for command in (
+        ("generate", file),
+        ("run", "--dataset", root, "--suite", file),
+        ("reproduce", file),
+        ("train", "keypoints", file),
+        ("train", "masks", file),
+        ("import", "masks", recording, "--camera", file),
+        ("import", "trajectory", tmp_path / "motion.csv", "--scene", file),
+    ):
+        surgbench(*command, *out, expect=2)
+        told = capsys.readouterr().err
+        assert told.startswith(f"surgbench: {file}: not valid YAML ("), told
+        assert told.count("\n") == 1
+        assert not (tmp_path / "out").exists()
 
 
 def test_a_file_without_end_is_not_read(tmp_path: Path) -> None:

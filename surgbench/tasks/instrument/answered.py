@@ -28,7 +28,7 @@ class AnsweredRun(Run):
         self._initial, self._own_step = initial, step
 
     @contextmanager
-    def child(self, module: str, timeout_s: float) -> Iterator[Child]:
+    def child(self, module: str, timeout_s: float, memory: str | None = None) -> Iterator[Child]:
         """What is asked of a child, it can do."""
         yield cast("Child", _Answers(self._initial, self._own_step))
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from functools import cached_property
+from collections.abc import Callable, Mapping
+from functools import cached_property, partial
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +11,9 @@ from numpy.typing import NDArray
 
 from surgbench.camera import Camera
 from surgbench.dataset import tables
-from surgbench.dataset.manifest import observations_path
-from surgbench.dataset.masks import Mask, read_bytes, read_image, read_mask
+from surgbench.dataset.integrity import check_inside, read_listed, read_unaltered
+from surgbench.dataset.manifest import MANIFEST_NAME, FileEntry, observations_path
+from surgbench.dataset.masks import Mask, decode_image, decode_mask
 from surgbench.errors import DatasetError, unknown_name
 from surgbench.geometry import FloatArray, rigid_transform, rotation_from_vector
 from surgbench.tasks.instrument.format import (
@@ -36,13 +38,23 @@ class AuxiliaryView:
         name: Of the view.
         entry: Its part of the manifest.
         camera: Its camera.
+        files: What the manifest says of the dataset's files.
         frames: Of the sequence.
         truth: Whether the sequence has ground truth.
     """
 
     def __init__(
-        self, root: Path, sequence: str, name: str, entry: AuxiliaryEntry, camera: Camera, frames: int, truth: bool
+        self,
+        root: Path,
+        sequence: str,
+        name: str,
+        entry: AuxiliaryEntry,
+        camera: Camera,
+        files: Mapping[str, FileEntry],
+        frames: int,
+        truth: bool,
     ) -> None:
+        self._files = files
         self.root, self.name, self.entry, self.camera, self.frames = root, name, entry, camera, frames
         self._folder = view_folder(sequence, name)
         self._truth = truth
@@ -54,7 +66,7 @@ class AuxiliaryView:
             DatasetError: There is no such kind or frame, or the file is missing, truncated, or of a wrong size.
         """
         self._check(kind, frame)
-        return read_mask(self.root / observed_path(self._folder, kind, frame), self.camera.width, self.camera.height)
+        return self._read_mask(observed_path(self._folder, kind, frame))
 
     def clean_mask(self, kind: str, frame: int) -> Mask:
         """The rendered mask before corruption, ``(height, width)`` bool.
@@ -64,19 +76,19 @@ class AuxiliaryView:
         """
         self._check_truth()
         self._check(kind, frame)
-        return read_mask(self.root / clean_mask_path(self._folder, kind, frame), self.camera.width, self.camera.height)
+        return self._read_mask(clean_mask_path(self._folder, kind, frame))
 
     def image(self, frame: int) -> NDArray[np.uint8] | None:
         """The camera's image, ``(height, width, 3)`` uint8 RGB; ``None`` where there are no images."""
-        path = self.image_path(frame)
-        return None if path is None else read_image(path, self.camera.width, self.camera.height)
+        read = self.image_reader(frame)
+        return None if read is None else read()
 
-    def image_path(self, frame: int) -> Path | None:
-        """Where a frame's image lies; ``None`` where there are no images."""
+    def image_reader(self, frame: int) -> Callable[[], NDArray[np.uint8]] | None:
+        """As :meth:`surgbench.tasks.instrument.dataset.Sequence.image_reader`."""
         if not self.entry.images:
             return None
         self._check(self.entry.kinds[0], frame)
-        return (self.root / observed_path(self._folder, IMAGE_KIND, frame)).resolve()
+        return listed_image(self.root, observed_path(self._folder, IMAGE_KIND, frame), self._files, self.camera)
 
     def keypoints(self, kind: str, arm: Arm) -> FloatArray:
         """``(frames, 2, 2)`` tip pixels (u, v) in no particular order; NaN where a tip was not seen.
@@ -107,13 +119,20 @@ class AuxiliaryView:
 
     @cached_property
     def _observations(self) -> dict[str, FloatArray]:
-        path = self.root / observations_path(self._folder)
-        return tables.decode_table(read_bytes(path), str(path), self.frames, auxiliary_columns(self.entry))
+        return tables.decode_table(
+            *self._read(observations_path(self._folder)), self.frames, auxiliary_columns(self.entry)
+        )
 
     @cached_property
     def _poses(self) -> dict[str, FloatArray]:
-        path = self.root / poses_path(self._folder)
-        return tables.decode_table(read_bytes(path), str(path), self.frames, pose_columns(self.entry))
+        return tables.decode_table(*self._read(poses_path(self._folder)), self.frames, pose_columns(self.entry))
+
+    def _read_mask(self, relative: str) -> Mask:
+        return decode_mask(*self._read(relative), self.camera.width, self.camera.height)
+
+    def _read(self, relative: str) -> tuple[bytes, str]:
+        """A file's bytes, and what it is called in messages."""
+        return read_listed(self.root, relative, self._files), str(self.root / relative)
 
     def _check(self, kind: str, frame: int) -> None:
         if kind not in self.entry.kinds:
@@ -127,6 +146,26 @@ class AuxiliaryView:
     def _check_truth(self) -> None:
         if not self._truth:
             raise DatasetError(f"{self.root}: auxiliary view '{self.name}' has no ground truth")
+
+
+def listed_image(
+    root: Path, file: str, files: Mapping[str, FileEntry], camera: Camera
+) -> Callable[[], NDArray[np.uint8]]:
+    """What reads an image of a dataset when it is called, and tells where it is altered.
+
+    It may be sent to a tracker: it knows the place and the hash of one file, and not the sequence and its truth.
+
+    Raises:
+        DatasetError: It is not listed, or does not lie in the dataset's folder; one line.
+    """
+    if file not in files:
+        raise DatasetError(f"{root / file}: not listed in {MANIFEST_NAME}, but its sequence needs it")
+    check_inside(root, root / file)
+    return partial(_read_image, (root / file).resolve(), files[file], camera.width, camera.height)
+
+
+def _read_image(path: Path, listed: FileEntry, width: int, height: int) -> NDArray[np.uint8]:
+    return decode_image(read_unaltered(path, listed), str(path), width, height)
 
 
 def _transforms(values: dict[str, FloatArray], kind: str) -> FloatArray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -14,14 +15,15 @@ from surgbench.camera import Camera
 from surgbench.config import parse_model, read_yaml
 from surgbench.dataset import tables
 from surgbench.dataset.base import Dataset
-from surgbench.dataset.manifest import observations_path
-from surgbench.dataset.masks import Mask, read_bytes, read_depth, read_image, read_links, read_mask
+from surgbench.dataset.integrity import check_inside, read_listed
+from surgbench.dataset.manifest import FileEntry, observations_path
+from surgbench.dataset.masks import Mask, decode_levels, decode_mask
 from surgbench.errors import DatasetError, unknown_name
 from surgbench.geometry import FloatArray, rigid_transform, rotation_from_vector
 from surgbench.instrument import Instrument, load_instrument
 from surgbench.instrument.arms import DEFAULT_ARM, load_arm
 from surgbench.instrument.arms import Arm as RobotArm
-from surgbench.tasks.instrument.auxiliary import AuxiliaryView
+from surgbench.tasks.instrument.auxiliary import AuxiliaryView, listed_image
 from surgbench.tasks.instrument.format import (
     DEPTH_KIND,
     DEPTH_UNIT_M,
@@ -80,18 +82,25 @@ class Sequence:
         root: The dataset's folder.
         entry: Its part of the manifest.
         cameras: All of the dataset's.
+        files: What the manifest says of the dataset's files, which must be so when they are read.
         robot_arm: What the manifest says of the arm whose joints the observations have; the default one's unless told.
     """
 
     def __init__(
-        self, root: Path, entry: SequenceEntry, cameras: dict[str, Camera], robot_arm: dict[str, Any] | None = None
+        self,
+        root: Path,
+        entry: SequenceEntry,
+        cameras: dict[str, Camera],
+        files: Mapping[str, FileEntry],
+        robot_arm: dict[str, Any] | None = None,
     ) -> None:
         self.root = root
         self.entry = entry
+        self._files = files
         self.camera = cameras[entry.camera]
         self._robot_arm = robot_arm
         self._auxiliary = {
-            name: AuxiliaryView(root, entry.id, name, view, cameras[view.camera], entry.frames, entry.truth)
+            name: AuxiliaryView(root, entry.id, name, view, cameras[view.camera], files, entry.frames, entry.truth)
             for name, view in entry.auxiliary.items()
         }
 
@@ -162,15 +171,32 @@ class Sequence:
 
     def image(self, frame: int) -> NDArray[np.uint8] | None:
         """The camera's image, ``(height, width, 3)`` uint8 RGB; ``None`` where there are no images."""
-        path = self.image_path(frame)
-        return None if path is None else read_image(path, self.camera.width, self.camera.height)
+        read = self.image_reader(frame)
+        return None if read is None else read()
 
-    def image_path(self, frame: int) -> Path | None:
-        """Where a frame's image lies; ``None`` where there are no images."""
+    def image_reader(self, frame: int) -> Callable[[], NDArray[np.uint8]] | None:
+        """What reads a frame's image, and knows of nothing else; ``None`` where there are no images.
+
+        Raises:
+            DatasetError: It is not listed, or does not lie in the dataset's folder.
+        """
         if not self.entry.images:
             return None
         self._check(None, frame)
-        return (self.root / observed_path(self.id, IMAGE_KIND, frame)).resolve()
+        return listed_image(self.root, observed_path(self.id, IMAGE_KIND, frame), self._files, self.camera)
+
+    def image_path(self, frame: int) -> Path | None:
+        """Where a frame's image lies; ``None`` where there are no images.
+
+        Raises:
+            DatasetError: Not in the dataset's folder.
+        """
+        if not self.entry.images:
+            return None
+        self._check(None, frame)
+        path = self.root / observed_path(self.id, IMAGE_KIND, frame)
+        check_inside(self.root, path)
+        return path.resolve()
 
     def look(self) -> dict[str, Any] | None:
         """How the images were made, as ``truth/<id>/look.yaml`` says; ``None`` where they were not."""
@@ -181,8 +207,9 @@ class Sequence:
         if not self.entry.depth:
             return None
         self._check(None, frame)
-        path = self.root / truth_picture_path(self.id, DEPTH_KIND, frame)
-        return np.asarray(read_depth(path, self.camera.width, self.camera.height) * DEPTH_UNIT_M, np.float64)
+        file = truth_picture_path(self.id, DEPTH_KIND, frame)
+        depth = decode_levels(*self._read(file), self.camera.width, self.camera.height, np.uint16)
+        return np.asarray(depth, np.uint16) * np.float64(DEPTH_UNIT_M)
 
     def links(self, frame: int) -> NDArray[np.uint8] | None:
         """``(height, width)`` which link is seen: 0 for none, else 1 + its place in the instrument file, 64 more of the
@@ -191,8 +218,9 @@ class Sequence:
         if not self.entry.links:
             return None
         self._check(None, frame)
-        path = self.root / truth_picture_path(self.id, LINKS_KIND, frame)
-        return read_links(path, self.camera.width, self.camera.height)
+        file = truth_picture_path(self.id, LINKS_KIND, frame)
+        links = decode_levels(*self._read(file), self.camera.width, self.camera.height, np.uint8)
+        return np.asarray(links, np.uint8)
 
     def auxiliary(self, name: str) -> AuxiliaryView:
         """One of the sequence's auxiliary views.
@@ -301,26 +329,28 @@ class Sequence:
 
     @cached_property
     def _observations(self) -> dict[str, FloatArray]:
-        path = self.root / observations_path(self.id)
-        return tables.decode_table(read_bytes(path), str(path), self.frames, observation_columns(self.entry))
+        return tables.decode_table(
+            *self._read(observations_path(self.id)), self.frames, observation_columns(self.entry)
+        )
 
     @cached_property
     def _labels(self) -> dict[str, FloatArray]:
-        path = self.root / labels_path(self.id)
-        return tables.decode_table(read_bytes(path), str(path), self.frames, labelled_columns(self.entry))
+        return tables.decode_table(*self._read(labels_path(self.id)), self.frames, labelled_columns(self.entry))
 
     @cached_property
     def _visibility(self) -> dict[str, FloatArray]:
-        path = self.root / visibility_path(self.id)
-        return tables.decode_table(read_bytes(path), str(path), self.frames, visibility_columns(self.entry))
+        return tables.decode_table(*self._read(visibility_path(self.id)), self.frames, visibility_columns(self.entry))
 
     @cached_property
     def _states(self) -> dict[str, FloatArray]:
-        path = self.root / states_path(self.id)
-        return tables.decode_table(read_bytes(path), str(path), self.frames, state_columns(self.entry))
+        return tables.decode_table(*self._read(states_path(self.id)), self.frames, state_columns(self.entry))
 
     def _read_mask(self, relative: str) -> Mask:
-        return read_mask(self.root / relative, self.camera.width, self.camera.height)
+        return decode_mask(*self._read(relative), self.camera.width, self.camera.height)
+
+    def _read(self, relative: str) -> tuple[bytes, str]:
+        """A file's bytes, and what it is called in messages."""
+        return read_listed(self.root, relative, self._files), str(self.root / relative)
 
     def _check(self, kind: str | None, frame: int) -> None:
         if kind is not None and kind not in self.entry.kinds:
@@ -377,7 +407,9 @@ class InstrumentDataset(Dataset[InstrumentManifest]):
     def __init__(self, path: Path, manifest: InstrumentManifest, hash_: str) -> None:
         super().__init__(path, manifest, hash_)
         robot_arm = manifest.configuration.get(ROBOT_ARM)
-        self.sequences = tuple(Sequence(path, entry, manifest.cameras, robot_arm) for entry in manifest.sequences)
+        self.sequences = tuple(
+            Sequence(path, entry, manifest.cameras, manifest.files, robot_arm) for entry in manifest.sequences
+        )
 
     def length(self, sequence: str) -> int:
         """Number of frames of a sequence."""

@@ -14,7 +14,7 @@ from surgbench.contract import Mask, Observation
 from surgbench.geometry import FloatArray
 from surgbench.processes.child import Child, ChildProblemError
 from surgbench.silhouette import Reference, SilhouetteEvaluator
-from surgbench.state import POSITION, STATE_SIZE
+from surgbench.state import JOINTS, POSITION, STATE_NAMES, STATE_SIZE
 from surgbench.suite.running import Run
 from surgbench.suite.settings import Job, Plug
 from surgbench.tasks.instrument.dataset import InstrumentDataset, InstrumentUnit
@@ -110,7 +110,7 @@ def execute(job: Job, dataset: InstrumentDataset, run: Run, *, waits: bool = Tru
     own_masks = OwnMasks.of(data)
     status, error, trace, initialise_s = "ok", None, None, None
     try:
-        with run.child(WORKER, settings.conditions.timeout_s) as child:
+        with run.child(WORKER, settings.conditions.timeout_s, settings.conditions.memory) as child:
             first = _first_seen(settings, data, job.frames) if waits else 0
             child.send("setup", child_setup(job, data, first))
             child.ready()
@@ -143,8 +143,11 @@ def execute(job: Job, dataset: InstrumentDataset, run: Run, *, waits: bool = Tru
     except ChildProblemError as problem:
         status, error, trace = problem.status, f"frame {len(answers)}: {problem}", problem.traceback
     away = out_of_view(data, len(answers), shares)
-    hint = (None if own_masks is None else own_masks.hint(data.unit.arms)) or exchanged_readings(
-        data, _states(data, answers), lost_arms(answers, len(data.unit.arms))
+    states = _states(data, answers)
+    hint = (
+        (None if own_masks is None else own_masks.hint(data.unit.arms))
+        or exchanged_readings(data, states, lost_arms(answers, len(data.unit.arms)))
+        or outside_limits(data, states)
     )
     return {
         "status": status,
@@ -158,6 +161,22 @@ def execute(job: Job, dataset: InstrumentDataset, run: Run, *, waits: bool = Tru
         **({} if initial is None or settings.mask_source is None else {"initial_state": initial.tolist()}),
         **({} if hint is None else {"hint": hint}),
     }
+
+
+# A reading may be a little outside, and so may be who follows it.
+BEYOND_RAD = 0.01
+
+
+def outside_limits(data: UnitData, states: FloatArray) -> str | None:
+    """One line where joints of ``(T, arms, 9)`` estimates are outside their limits, and by how much at most."""
+    joints = states[..., JOINTS]
+    beyond = np.abs(joints - data.scene().joint_limits.clip(joints))
+    frames = int((beyond > BEYOND_RAD).any(axis=(1, 2)).sum())
+    if not frames:
+        return None
+    worst = int(beyond.max(axis=(0, 1)).argmax())
+    by = f"{STATE_NAMES[JOINTS][worst]} by up to {beyond[..., worst].max():.2f} rad"
+    return f"joints outside their limits in {frames} of {len(states)} frames, {by}"
 
 
 NOTHING_SEEN = "no instrument shows in any of {} masks: nothing to start from"

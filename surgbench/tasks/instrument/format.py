@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from surgbench.camera import Camera
-from surgbench.config import Finite, Name, Positive, Section
+from surgbench.config import Finite, Name, Section, Step
 from surgbench.dataset.manifest import Frames, Manifest, observations_path
 from surgbench.geometry import is_rigid
 
@@ -26,6 +26,8 @@ IMAGE_KIND = "image"
 DEPTH_KIND, LINKS_KIND = "depth", "links"
 # A level of a depth picture.
 DEPTH_UNIT_M = 1e-5
+# Of a camera, focal lengths and how far the principal point may lie.
+FURTHEST_PX = 1e7
 
 
 CONVENTIONS = {
@@ -143,7 +145,7 @@ class SequenceEntry(Section):
 
     id: Name
     frames: Frames
-    dt_s: Positive
+    dt_s: Step
     speed: Literal["nominal", "fast"] = "nominal"
     camera: str
     arms: Annotated[tuple[Arm, ...], Field(min_length=1, max_length=2)]
@@ -237,6 +239,18 @@ class InstrumentManifest(Manifest):
         for name, path in self.instruments.items():
             if path not in self.files:
                 raise ValueError(f"instrument '{name}': '{path}' is not among the files")
+        return self
+
+    @model_validator(mode="after")
+    def _lenses(self) -> InstrumentManifest:
+        # Wider than what importers take for plausible: only what makes sizes and gradients that are no numbers.
+        for name, camera in self.cameras.items():
+            for key, least in (("fx", 1e-3), ("fy", 1e-3), ("cx", -FURTHEST_PX), ("cy", -FURTHEST_PX)):
+                value = getattr(camera, key)
+                if not least <= value <= FURTHEST_PX:
+                    raise ValueError(
+                        f"camera '{name}': {key} is {value:g}; expected {least:g} to {FURTHEST_PX:g} pixels"
+                    )
         return self
 
     @property

@@ -3,15 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
-from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from surgbench.camera import Camera
 from surgbench.contract import Mask, Observation, Scene, View, no_image
-from surgbench.dataset.masks import read_image
 from surgbench.geometry import FloatArray
 from surgbench.instrument import Instrument
 from surgbench.keypoints.found import Tips
@@ -136,7 +131,7 @@ class UnitData:
     def observation(self, frame: int) -> Observation:
         """What a tracker may know of a frame; ``start`` is the engine's to fill in."""
         keypoints = _seen(self._keypoints, frame)
-        image = _image_at(self.sequence.image_path(frame), self.camera)
+        image = self.sequence.image_reader(frame) or no_image
         joints = None
         if self._joints is not None and not np.isnan(self._joints[frame]).any():
             clipped = self._limits.clip(self._joints[frame])
@@ -166,15 +161,10 @@ class UnitData:
         if view is None:
             return ()
         keypoints = _seen([view.keypoints(kind, arm) for arm in self.unit.arms], frame)
-        image = _image_at(view.image_path(frame), view.camera)
+        image = view.image_reader(frame) or no_image
         T_view_cam = view.T_view_cam(kind)[frame]
         mask = view.clean_mask(kind, frame) if self._true_masks else view.mask(kind, frame)
         return (View(view.camera, T_view_cam, mask, keypoints=keypoints, image=image),)
-
-
-def _image_at(path: Path | None, camera: Camera) -> Callable[[], NDArray[np.uint8] | None]:
-    """What reads an image. Of a file's place only: a bound method would carry the sequence and its truth along."""
-    return no_image if path is None else partial(read_image, path, camera.width, camera.height)
 
 
 def _seen(keypoints: list[FloatArray], frame: int) -> Tips:

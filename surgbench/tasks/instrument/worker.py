@@ -24,13 +24,17 @@ from surgbench.metrics import OUT_OF_VIEW_SHARE
 from surgbench.processes.service import Tell, serve_parent
 from surgbench.randomness import generator
 from surgbench.registry import create, find
-from surgbench.state import JOINTS, STATE_SIZE, clip_joints, split_arms
+from surgbench.state import JOINTS, STATE_NAMES, STATE_SIZE, clip_joints, split_arms
 from surgbench.suite.settings import Plug
 from surgbench.tasks.instrument.asked import Scored
 from surgbench.tasks.instrument.made_masks import MaskMaker, masks_alone, with_images_read
 from surgbench.tasks.instrument.tips import AskedSource
 from surgbench.tasks.instrument.told_prompts import of_views
 from surgbench.timing import step_s
+
+# What no state exceeds, of an arm, however long a lost one has drifted; with more, errors are no numbers.
+_BOUNDS = (*(1e6,) * 3, *(1e3,) * 3, *(1e6,) * 3)
+_UNITS = (*("rad",) * 3, *("m",) * 3, *("rad",) * 3)
 
 
 @dataclass(frozen=True)
@@ -104,6 +108,19 @@ def check_state(value: Any, size: int, who: str) -> FloatArray:
         InvalidAnswerError: It is something else; one line that says what.
     """
     return _finite(value, size, f"{who} returned a state")
+
+
+def check_possible(state: FloatArray, who: str) -> FloatArray:
+    """A state, unless no instrument anywhere could have it: its errors would be no numbers.
+
+    Raises:
+        InvalidAnswerError: It lies so far away; one line that says what does.
+    """
+    for arm in split_arms(state):
+        for name, value, bound, unit in zip(STATE_NAMES, arm, _BOUNDS, _UNITS, strict=True):
+            if abs(value) > bound:
+                raise InvalidAnswerError(f"{who} returned a state outside all limits: {name} is {value:.3g} {unit}")
+    return state
 
 
 def check_confidence(value: Any, arms: int, who: str) -> FloatArray:
@@ -282,7 +299,8 @@ class Loop:
             answer = self._tracker.step(observation)
         optimise_s = time.perf_counter() - before - (self._keypoints.asked_s - waited_s)
         estimate = answer if isinstance(answer, Estimate) else Estimate(answer)
-        state = check_state(estimate.state, self._size, f"tracker '{self._setup.tracker.name}'")
+        who = f"tracker '{self._setup.tracker.name}'"
+        state = check_possible(check_state(estimate.state, self._size, who), who)
         arms = self._scene.arms
         confidence = check_confidence(estimate.confidence, arms, f"tracker '{self._setup.tracker.name}'")
         lost = check_lost(estimate.lost, arms, f"tracker '{self._setup.tracker.name}'")

@@ -12,9 +12,8 @@ from pydantic import ValidationError
 from surgbench.config import explain
 from surgbench.dataset import tables
 from surgbench.dataset.base import Dataset
-from surgbench.dataset.integrity import difference
+from surgbench.dataset.integrity import read_listed
 from surgbench.dataset.manifest import observations_path
-from surgbench.dataset.masks import read_bytes
 from surgbench.errors import DatasetError, unknown_name
 from surgbench.geometry import FloatArray, rigid_transform, rotation_from_vector, rotation_vector
 from surgbench.syntax import parse_json
@@ -153,14 +152,7 @@ class ViewpointDataset(Dataset[ViewpointManifest]):
 
     def _read(self, file: str) -> bytes:
         """A file's bytes, which must be those that the manifest lists."""
-        path = self.path / file
-        if file not in self.manifest.files:
-            raise DatasetError(f"{path}: not listed in the manifest, but its trial needs it")
-        data = read_bytes(path)
-        problem = difference(path, data, self.manifest.files[file])
-        if problem is not None:
-            raise DatasetError(problem)
-        return data
+        return read_listed(self.path, file, self.manifest.files)
 
 
 def trial_files(entry: TrialEntry) -> list[str]:

@@ -51,7 +51,7 @@ def execute(job: Job, dataset: ViewpointDataset, run: Run) -> dict[str, Any]:
     status, error, trace = "ok", None, None
     course: Course | None = None
     try:
-        with run.child(WORKER, settings.conditions.timeout_s) as child:
+        with run.child(WORKER, settings.conditions.timeout_s, settings.conditions.memory) as child:
             child.send(ViewpointSetup(settings.tracker, shown, told, scene.servo_lag_s, job.frames, axes))
             child.ready()
             while course is None or len(course.goals) < job.frames:

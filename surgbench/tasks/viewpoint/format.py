@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
-from surgbench.config import Finite, Name, NotNegative, Positive, Section
+from surgbench.config import Finite, Name, NotNegative, Positive, Section, Step
 from surgbench.dataset.manifest import Frames, Manifest
 from surgbench.geometry import is_rigid
 from surgbench.viewpoint.arm_files import CameraArmSpec
@@ -90,7 +90,7 @@ class TrialEntry(Section):
 
     id: Name
     samples: Frames
-    dt_s: Positive
+    dt_s: Step
     level: Level = "custom"
     truth: bool = False
     T_world_base: Matrix

@@ -51,7 +51,7 @@ def execute_with_hand(job: Job, dataset: ViewpointDataset, run: Run) -> dict[str
     status, error, trace = "ok", None, None
     operation: Operation | None = None
     try:
-        with run.child(WORKER, settings.conditions.timeout_s) as child:
+        with run.child(WORKER, settings.conditions.timeout_s, settings.conditions.memory) as child:
             child.send(setup)
             child.ready()
             left = float(job.frames)
