@@ -23,13 +23,14 @@ from pyarrow import parquet
 from readers import READERS, samples
 from small_dataset import CAMERA, FRAMES, make_pair
 
-from surgbench.dataset.open import open_dataset
+from surgbench.dataset.open import open_as, open_dataset
 from surgbench.dataset.storage import file_entry
 from surgbench.dataset.tables import decode_table
 from surgbench.dataset.validate import validate
 from surgbench.errors import SurgbenchError
 from surgbench.files import read_whole
 from surgbench.records.reader import read_record, read_records
+from surgbench.tasks.instrument.dataset import InstrumentDataset
 
 MASK = "sequences/000/observed/left/000001.png"
 TABLE = "sequences/000/observations.parquet"
@@ -165,7 +166,7 @@ def test_no_link_leads_out_of_a_dataset(
     (root / file).unlink()
     (root / f"{file}.real").write_bytes((tmp_path / "elsewhere.png").read_bytes())
     (root / file).symlink_to(f"{Path(file).name}.real")
-    assert open_dataset(root).sequence("000").mask("left", 1).any()  # within it, it may lead anywhere
+    assert open_as(InstrumentDataset, root).sequence("000").mask("left", 1).any()  # within it, it may lead anywhere
 
 
 @pytest.mark.parametrize(
