@@ -67,7 +67,7 @@ class ClusterRuns:
         key = f"{job.settings.row_id}-{job.unit.id}-r{job.repeat}-{uuid.uuid4().hex}"
         self._parts[key] = part
         place = str(dataset.path.resolve())
-        ask = (_placed(job), place, dataset.hash, str(Path.cwd()), self._code, self._call, key)
+        ask = (_placed(job), place, dataset.hash, _working_folder(), self._code, self._call, key)
         future = self._client.submit(_perform, *ask, key=key, pure=False)
         self._futures.add(future)
         try:
@@ -75,9 +75,11 @@ class ClusterRuns:
             return found
         except KilledWorker:
             return without_results("exited", f"{DEATHS + 1} workers of the cluster died while they ran this")
-        except (CancelledError, OSError):
+        except (CancelledError, OSError) as error:
             if part.stopping:
                 return without_results("failed", "stopped")
+            if isinstance(error, OSError) and self._client.status == "running":  # a worker's
+                raise SurgbenchError(f"a worker of the cluster cannot run this: {error}") from None
             raise SurgbenchError(GONE) from None
         finally:
             del self._parts[key]
@@ -98,6 +100,11 @@ class ClusterRuns:
         part = self._parts.get(said["key"])
         if part is not None:  # less than before where a worker died and another one begins anew
             part.advance(said["done"] - part.done)
+
+
+def _working_folder() -> str:
+    """As seen from which files are named here."""
+    return str(Path.cwd())
 
 
 def _placed(job: Job) -> Job:

@@ -155,6 +155,17 @@ def test_a_run_goes_on_where_another_stopped(cluster: Cluster, data: Path, tmp_p
     assert before in records(tmp_path)
 
 
+def test_what_a_worker_does_not_see_is_told_in_one_line(
+    cluster: Cluster, data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("surgbench.cluster.runs._working_folder", lambda: str(tmp_path / "only-here"))
+    ask = (*RUN, "--dataset", data, "--tracker", "cmaes", "--frames", 2, "--sequences", 1, "--out", tmp_path / "runs")
+    surgbench(*ask, "--scheduler", cluster.address, expect=2)
+    said = capsys.readouterr().err.splitlines()[-1]
+    assert said.startswith("surgbench: a worker of the cluster cannot run this: ")
+    assert "only-here" in said
+
+
 def test_what_is_no_scheduler_is_told_in_one_line(
     data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
