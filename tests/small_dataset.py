@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Collection
 from pathlib import Path
 
@@ -9,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surgbench.camera import Camera
-from surgbench.dataset.manifest import observations_path
+from surgbench.dataset.manifest import MANIFEST_NAME, observations_path
 from surgbench.dataset.masks import Mask, encode_image, encode_mask
 from surgbench.dataset.open import open_as
+from surgbench.dataset.storage import file_entry
 from surgbench.dataset.tables import encode_table
 from surgbench.files import sha256_file
 from surgbench.geometry import FloatArray
@@ -155,3 +157,13 @@ def make_pair(
 def _put(path: Path, data: bytes) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(data)
+
+
+def list_anew(root: Path) -> None:
+    """Put what the files of a dataset hold now into its manifest: it was made so."""
+    path = root / MANIFEST_NAME
+    manifest = json.loads(path.read_text())
+    manifest["files"] = {
+        name: file_entry((root / name).read_bytes()).model_dump(mode="json") for name in manifest["files"]
+    }
+    path.write_text(json.dumps(manifest))

@@ -194,7 +194,7 @@ class FaultyProcess(RendererProcess):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("process", "reason"), [(DyingProcess, "killed by signal 9"), (FaultyProcess, "failed: ")])
+@pytest.mark.parametrize(("process", "reason"), [(DyingProcess, "was killed (signal 9)"), (FaultyProcess, "failed: ")])
 def test_a_peer_that_fails_costs_its_own_row(
     monkeypatch: pytest.MonkeyPatch, process: type[RendererProcess], reason: str
 ) -> None:

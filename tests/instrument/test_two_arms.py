@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from commandline import records, surgbench
-from small_dataset import make_pair, states_of
+from small_dataset import list_anew, make_pair, states_of
 
 from surgbench import pair_metrics
 from surgbench.dataset.masks import encode_mask
@@ -235,6 +235,7 @@ def test_odd_masks_of_a_recording_are_told(
         pair = {"alike": (left, left), "gone": (left, left & False), "turned": (right, left)}[how]
         for arm, mask in zip(("left", "right"), pair, strict=True):
             (root / observed_path("000", arm, frame)).write_bytes(encode_mask(mask))
+    list_anew(root)
     lines = ["sequence,arm,frame," + ",".join(POSE_COLUMNS)]
     for arm in ("left", "right"):
         poses = pose_columns(states_of(arm))
@@ -256,6 +257,7 @@ def test_readings_of_the_other_arm_are_told(tmp_path: Path, capsys: pytest.Captu
         lines += [f"000,{arm},{frame}," + ",".join(map(repr, pose.tolist())) for frame, pose in enumerate(poses)]
         for frame in range(4):  # masks as the estimates
             (root / observed_path("000", arm, frame)).write_bytes(masks_of(tmp_path / "plain", other, frame))
+    list_anew(root)
     (tmp_path / "poses.csv").write_text("\n".join(lines) + "\n")
     surgbench("score", root, tmp_path / "poses.csv", "--name", "mine", "--arms", "dual", "--out", tmp_path / "runs")
     assert "joint readings fit far better the other way round" in capsys.readouterr().err
