@@ -58,7 +58,7 @@ def serve_viewpoint(
 
     Example: surgbench serve-viewpoint --tracker gaze --port 5555
 
-    JSON lines over a local socket, docs/viewpoint-bridge.md; a client is docs/examples/viewpoint_client.py. With
+    JSON lines over a local socket, docs/viewpoint-bridge.md; a client is examples/viewpoint_client.py. With
     --dataset the client answers every step of every trial, and records are those of surgbench run. Time stands still
     while it thinks. Where it hangs up, says nothing in time or no command, the simulated arm comes to rest and stays,
     and the row says so.

@@ -221,7 +221,7 @@ def spotted(play: Play, state: FloatArray) -> NDArray[np.uint8]:
 @pytest.mark.parametrize("arms", [1, 2])
 def test_the_tracker_that_looks_at_images_follows_them(arms: int) -> None:
     play = make_play(arms=arms, frames=5)
-    tracker = create(find("tracker", f"{ROOT / 'docs/examples/flow.py'}:FlowTracker"), {})
+    tracker = create(find("tracker", f"{ROOT / 'examples/flow.py'}:FlowTracker"), {})
     tracker.reset(play.scene, play.truth[0], np.random.default_rng(0))
 
     def with_image(frame: Observation) -> Observation:

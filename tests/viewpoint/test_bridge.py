@@ -36,7 +36,7 @@ from surgbench.viewpoint.scores import course_errors
 from surgbench.viewpoint.servo import resting_place
 from surgbench.viewpoint.simulator import Course, Simulation, make_scene
 
-EXAMPLES = Path(__file__).parents[2] / "docs" / "examples"
+EXAMPLES = Path(__file__).parents[2] / "examples"
 STEPS = 60
 # Where a client hangs; all others are waited for as long as they take.
 IMPATIENT_S = 0.2

@@ -28,7 +28,7 @@ from surgbench.viewpoint.servo import JointServo, resting_place
 from surgbench.viewpoint.simulator import Simulation, make_scene
 from surgbench.viewpoint.trial import Trial
 
-NODE = Path(__file__).parents[2] / "docs" / "examples" / "viewpoint_node.py"
+NODE = Path(__file__).parents[2] / "examples" / "viewpoint_node.py"
 RING_M = 0.033
 
 

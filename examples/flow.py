@@ -1,6 +1,6 @@
 """A tracker that looks at images: where points of the instruments went since the last frame (Lucas and Kanade, 1981).
 
-Example: surgbench run --dataset data/endoscope --arms dual --tracker docs/examples/flow.py:FlowTracker
+Example: surgbench run --dataset data/endoscope --arms dual --tracker examples/flow.py:FlowTracker
 """
 
 import cv2
