@@ -12,7 +12,7 @@ PIP := $(BIN)/python -m pip install --disable-pip-version-check -q -c constraint
 # Two files of tests at a time. A test that fails alone is run without: .venv/bin/python -m pytest FILE
 PYTEST := python -m pytest -q -n 2 --dist loadfile --durations=15
 
-.PHONY: demo test quick lint types unit wheel-test extras-test table-setup lowest setup clean
+.PHONY: demo test quick lint types unit wheel-test sdist-test extras-test table-setup lowest setup clean
 
 demo: $(SETUP)
 	$(BIN)/surgbench generate mini --out $(DEMO)/mini
@@ -50,6 +50,19 @@ wheel-test: $(SETUP)
 	cd build/wheel-test/elsewhere && PYTHONPATH=../site SURGBENCH_EXPECT_SITE="$(CURDIR)/build/wheel-test/site" \
 		../../../$(BIN)/$(PYTEST) -c ../../../pyproject.toml --rootdir ../../.. \
 		$(WHEEL_TESTS:%=../../../tests/engine/%.py)
+
+# What is uploaded: `build` makes the source distribution, and the wheel of that, not of this folder. The wheel's tests
+# then run as they lie in the unpacked source distribution.
+SDIST_TEST := build/sdist-test
+sdist-test: $(SETUP)
+	rm -rf $(SDIST_TEST) build/lib build/bdist.* && mkdir -p $(SDIST_TEST)/elsewhere $(SDIST_TEST)/source
+	$(BIN)/python -m build -q --no-isolation --outdir $(SDIST_TEST) .
+	$(BIN)/twine check --strict $(SDIST_TEST)/*.tar.gz $(SDIST_TEST)/*.whl
+	tar -xzf $(SDIST_TEST)/*.tar.gz -C $(SDIST_TEST)/source --strip-components 1
+	$(BIN)/python -m pip install --disable-pip-version-check -q --no-deps --target $(SDIST_TEST)/site $(SDIST_TEST)/*.whl
+	cd $(SDIST_TEST)/elsewhere && PYTHONPATH=../site SURGBENCH_EXPECT_SITE="$(CURDIR)/$(SDIST_TEST)/site" \
+		../../../$(BIN)/$(PYTEST) -c ../source/pyproject.toml --rootdir ../source \
+		$(WHEEL_TESTS:%=../source/tests/engine/%.py)
 
 # Only what is skipped without the extras, and what takes longest. Types are not checked again: pyproject.toml has mypy pass over what the extras
 # install, so that its verdict is the same.
