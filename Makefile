@@ -12,7 +12,7 @@ PIP := $(BIN)/python -m pip install --disable-pip-version-check -q -c constraint
 # Two files of tests at a time. A test that fails alone is run without: .venv/bin/python -m pytest FILE
 PYTEST := python -m pytest -q -n 2 --dist loadfile --durations=15
 
-.PHONY: demo test quick lint types unit wheel-test sdist-test extras-test table-setup lowest setup clean
+.PHONY: demo test quick lint types unit wheel-test sdist-test image extras-test table-setup lowest setup clean
 
 demo: $(SETUP)
 	$(BIN)/surgbench generate mini --out $(DEMO)/mini
@@ -34,6 +34,7 @@ quick: lint types
 lint: $(SETUP)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/hadolint Dockerfile
 
 types: $(SETUP)
 	$(BIN)/mypy
@@ -63,6 +64,13 @@ sdist-test: $(SETUP)
 	cd $(SDIST_TEST)/elsewhere && PYTHONPATH=../site SURGBENCH_EXPECT_SITE="$(CURDIR)/$(SDIST_TEST)/site" \
 		../../../$(BIN)/$(PYTEST) -c ../source/pyproject.toml --rootdir ../source \
 		$(WHEEL_TESTS:%=../source/tests/engine/%.py)
+
+# Where there is Docker. The address of PyTorch's CPU build is that of the environment, as it is pip's.
+image: $(SETUP)
+	$(BIN)/hadolint Dockerfile
+	@if docker info >/dev/null 2>&1; then \
+		docker build --tag surgbench --build-arg PIP_EXTRA_INDEX_URL . && docker run --rm surgbench --version; \
+	else echo "no Docker answers: the Dockerfile is linted only"; fi
 
 # Only what is skipped without the extras, and what takes longest. Types are not checked again: pyproject.toml has mypy pass over what the extras
 # install, so that its verdict is the same.
