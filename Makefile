@@ -96,7 +96,7 @@ $(SETUP): pyproject.toml constraints.txt tools/system-libraries.sh
 
 $(EXTRAS): $(SETUP)
 	sh tools/system-libraries.sh meshes browser
-	PYTHONWARNINGS=ignore $(PIP) -e '.[dev,turbo,meshes,plots,onnx,video,readers,browser,sam2,control,bags,gym,cluster]'
+	PYTHONWARNINGS=ignore $(PIP) -e '.[dev,turbo,meshes,plots,onnx,video,readers,browser,sam2,control,bags,gym,cluster,view]'
 	touch $@
 
 clean:

@@ -17,6 +17,7 @@ EXTRAS = {
     "bags": ("rosbags",),
     "gym": ("gymnasium",),
     "cluster": ("distributed",),
+    "view": ("rerun",),
     "browser": ("playwright",),
     "readers": ("evo", "mlcroissant", "pycocotools"),
     "bench": ("embreex", "moderngl", "open3d"),
