@@ -12,7 +12,7 @@ PIP := $(BIN)/python -m pip install --disable-pip-version-check -q -c constraint
 # Two files of tests at a time. A test that fails alone is run without: .venv/bin/python -m pytest FILE
 PYTEST := python -m pytest -q -n 2 --dist loadfile --durations=15
 
-.PHONY: demo test quick lint types unit wheel-test extras-test table-setup lowest setup clean
+.PHONY: demo test quick lint types unit wheel-test sdist-test image extras-test table-setup lowest setup clean
 
 demo: $(SETUP)
 	$(BIN)/surgbench generate mini --out $(DEMO)/mini
@@ -34,6 +34,7 @@ quick: lint types
 lint: $(SETUP)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/hadolint Dockerfile
 
 types: $(SETUP)
 	$(BIN)/mypy
@@ -50,6 +51,26 @@ wheel-test: $(SETUP)
 	cd build/wheel-test/elsewhere && PYTHONPATH=../site SURGBENCH_EXPECT_SITE="$(CURDIR)/build/wheel-test/site" \
 		../../../$(BIN)/$(PYTEST) -c ../../../pyproject.toml --rootdir ../../.. \
 		$(WHEEL_TESTS:%=../../../tests/engine/%.py)
+
+# What is uploaded: `build` makes the source distribution, and the wheel of that, not of this folder. The wheel's tests
+# then run as they lie in the unpacked source distribution.
+SDIST_TEST := build/sdist-test
+sdist-test: $(SETUP)
+	rm -rf $(SDIST_TEST) build/lib build/bdist.* && mkdir -p $(SDIST_TEST)/elsewhere $(SDIST_TEST)/source
+	$(BIN)/python -m build -q --no-isolation --outdir $(SDIST_TEST) .
+	$(BIN)/twine check --strict $(SDIST_TEST)/*.tar.gz $(SDIST_TEST)/*.whl
+	tar -xzf $(SDIST_TEST)/*.tar.gz -C $(SDIST_TEST)/source --strip-components 1
+	$(BIN)/python -m pip install --disable-pip-version-check -q --no-deps --target $(SDIST_TEST)/site $(SDIST_TEST)/*.whl
+	cd $(SDIST_TEST)/elsewhere && PYTHONPATH=../site SURGBENCH_EXPECT_SITE="$(CURDIR)/$(SDIST_TEST)/site" \
+		../../../$(BIN)/$(PYTEST) -c ../source/pyproject.toml --rootdir ../source \
+		$(WHEEL_TESTS:%=../source/tests/engine/%.py)
+
+# Where there is Docker. The address of PyTorch's CPU build is that of the environment, as it is pip's.
+image: $(SETUP)
+	$(BIN)/hadolint Dockerfile
+	@if docker info >/dev/null 2>&1; then \
+		docker build --tag surgbench --build-arg PIP_EXTRA_INDEX_URL . && docker run --rm surgbench --version; \
+	else echo "no Docker answers: the Dockerfile is linted only"; fi
 
 # Only what is skipped without the extras, and what takes longest. Types are not checked again: pyproject.toml has mypy pass over what the extras
 # install, so that its verdict is the same.
@@ -75,7 +96,7 @@ $(SETUP): pyproject.toml constraints.txt tools/system-libraries.sh
 
 $(EXTRAS): $(SETUP)
 	sh tools/system-libraries.sh meshes browser
-	PYTHONWARNINGS=ignore $(PIP) -e '.[dev,turbo,meshes,plots,onnx,video,readers,browser,sam2,control,bags,gym,cluster,notebooks]'
+	PYTHONWARNINGS=ignore $(PIP) -e '.[dev,turbo,meshes,plots,onnx,video,readers,browser,sam2,control,bags,gym,cluster,view,notebooks]'
 	touch $@
 
 clean:

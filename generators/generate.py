@@ -57,7 +57,7 @@ from surgbench.tasks.instrument.format import (
     visibility_path,
 )
 from surgbench.tasks.instrument.tables import SWAPPED, VISIBILITY_COLUMNS
-from surgbench.version import __version__
+from surgbench.version import DATA_VERSION
 
 __all__ = ["Part", "Plan", "generate", "plan_dataset"]
 
@@ -369,7 +369,7 @@ def _manifest(plan: Plan, out: Path, sequences: list[SequenceEntry]) -> Instrume
     name = plan.instrument.name
     return InstrumentManifest(
         name=plan.preset.name,
-        created_by=f"surgbench {__version__}",
+        created_by=f"surgbench {DATA_VERSION}",
         origin="generated",
         seed=plan.preset.seed,
         configuration=configuration(plan),

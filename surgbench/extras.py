@@ -17,6 +17,7 @@ EXTRAS = {
     "bags": ("rosbags",),
     "gym": ("gymnasium",),
     "cluster": ("distributed",),
+    "view": ("rerun",),
     "browser": ("playwright",),
     "notebooks": ("ipykernel", "nbclient", "nbformat"),
     "readers": ("evo", "mlcroissant", "pycocotools"),

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from surgbench.report.field import Field
     from surgbench.report.filmed import Filmed
     from surgbench.report.row import Row
+    from surgbench.report.stage import Stage, Subject
     from surgbench.report.video_options import VideoOptions
     from surgbench.reproduce.sheet import Sheet
     from surgbench.suite.asked import Conditions, FileRequest, RowRequest
@@ -276,6 +277,23 @@ class Task(ABC):
             SurgbenchError: Runs of this task have no pictures, this one has none, or its dataset is not there.
         """
         raise SurgbenchError(f"runs of the {self.name} task have no pictures")
+
+    def view(self, subject: Subject, stage: Stage, progress: Callable[[str, float], Any]) -> list[str]:
+        """Put sequences or runs on a stage, to be looked at in space and over time.
+
+        Args:
+            subject: What is asked for; of this task.
+            stage: Where they are put.
+            progress: As of :meth:`draw`.
+
+        Returns:
+            Lines for the user, on what is not shown.
+
+        Raises:
+            NotFoundError: A unit or row that is not there.
+            SurgbenchError: This task has nothing to look at, or something in the material is damaged.
+        """
+        raise SurgbenchError(f"data of the {self.name} task cannot be looked at in space")
 
     def plots(
         self,

@@ -27,7 +27,7 @@ from surgbench.generators.wire_chaser.trial import StoppedError, draw_samples, m
 from surgbench.processes.ending import end_worker_with_parent
 from surgbench.tasks.viewpoint.format import TrialEntry, ViewpointManifest, feature_path, scene_path
 from surgbench.tasks.viewpoint.writing import describe_trial, encode_trial
-from surgbench.version import __version__
+from surgbench.version import DATA_VERSION
 
 # Numbers of six digits and more compress badly.
 BYTES_PER_SAMPLE = 130
@@ -102,7 +102,7 @@ class WirePlan:
         trials = [TrialEntry.model_validate(read_part(out, trial_id)[TRIAL].about) for trial_id in tasks]
         return ViewpointManifest(
             name=self.preset.name,
-            created_by=f"surgbench {__version__}",
+            created_by=f"surgbench {DATA_VERSION}",
             origin="generated",
             seed=self.preset.seed,
             configuration=configuration(self),

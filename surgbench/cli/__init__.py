@@ -34,13 +34,14 @@ from surgbench.cli.track import IMPORTER, NOT_ASKED, track
 from surgbench.cli.train import train_app
 from surgbench.cli.validate import validate
 from surgbench.cli.video import video
+from surgbench.cli.view import view
 from surgbench.errors import SurgbenchError
 from surgbench.extras import not_installed
 from surgbench.processes.streams import abandon_output, flush_output, print_whatever_comes
 from surgbench.version import __version__
 
 # What these write appears when it is whole; of all others, what is done is not done again.
-_WHOLE = ("import", "export", "track", "handeye", "video", "convert")
+_WHOLE = ("import", "export", "track", "handeye", "video", "view", "convert")
 INTERRUPTED = 130  # typer's own exit code for Ctrl-C, and the shell's
 BROKEN_PIPE = 1  # typer's own exit code for output that nobody reads any more
 
@@ -130,6 +131,7 @@ app.command("report")(report)
 app.command("compare")(compare)
 app.command("reproduce")(reproduce)
 app.command("video")(video)
+app.command("view")(view)
 app.command("export")(export)
 app.command("score")(score)
 app.command("submit")(submit)

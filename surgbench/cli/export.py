@@ -14,7 +14,7 @@ def export(
         Path, typer.Argument(metavar="DATASET|RUNS", help="A dataset's folder, a folder of records, or one record.")
     ],
     format_: Annotated[
-        str, typer.Option("--format", metavar="NAME", help="bop, coco, croissant, csv, tum, or one of your own.")
+        str, typer.Option("--format", metavar="NAME", help="bop, card, coco, croissant, csv, tum, or one of your own.")
     ],
     out: Annotated[Path, typer.Option(metavar="DIR", help="A new or empty folder.")],
     dataset: Annotated[

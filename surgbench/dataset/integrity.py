@@ -5,13 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 
+from surgbench.dataset.card import CARD_NAME
 from surgbench.dataset.manifest import MANIFEST_NAME, FileEntry, Manifest
 from surgbench.dataset.masks import read_bytes
 from surgbench.dataset.storage import file_entry
 from surgbench.errors import DatasetError
 from surgbench.leftovers import without_leftovers
 
-# Metadata for catalogues, as `surgbench export --format croissant` makes it to be put here; it says nothing new.
+# Metadata for catalogues, as `surgbench export --format croissant` makes it to be put here; like the dataset's card, it
+# says nothing new.
 METADATA_NAME = "croissant.json"
 
 
@@ -104,7 +106,7 @@ def check_files(
             problem = examine(file, data) if file in expected else None
         if problem is not None:
             problems.append(problem)
-    known = {*manifest.files, MANIFEST_NAME, METADATA_NAME}
+    known = {*manifest.files, MANIFEST_NAME, METADATA_NAME, CARD_NAME}
     for place in sorted(without_leftovers(root.rglob("*"), root)):
         name = place.relative_to(root).as_posix()
         if not place.is_dir() and name not in known:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import sys
 from pathlib import Path
 
@@ -53,6 +54,14 @@ def test_files_of_the_report_are_found() -> None:
 
     for name in ("page.css", "page.html", "page.js"):
         assert read(name)
+
+
+def test_the_version_is_said_alike_everywhere() -> None:
+    said = surgbench.__version__
+    assert f'\nversion = "{said}"\n' in (ROOT / "pyproject.toml").read_text()
+    assert f"\nversion: {said}\n" in (ROOT / "CITATION.cff").read_text()
+    released = re.findall(r"^## ([\d.]+) - \d{4}-\d\d-\d\d$", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE)
+    assert released[0] == said
 
 
 def test_plugins_import_the_engine_and_their_siblings_only() -> None:

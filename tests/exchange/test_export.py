@@ -31,7 +31,7 @@ from surgbench.state import twin
 from surgbench.tasks.instrument.dataset import InstrumentDataset
 from surgbench.tasks.instrument.format import ARMS
 
-FORMATS = ("bop", "coco", "croissant", "csv", "tum")
+FORMATS = ("bop", "card", "coco", "croissant", "csv", "tum")
 
 
 @pytest.fixture(scope="module")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Any, ClassVar
 
@@ -14,8 +14,8 @@ from surgbench.contract import Plugin
 from surgbench.dataset.integrity import METADATA_NAME
 from surgbench.dataset.manifest import MANIFEST_NAME, observations_path
 from surgbench.dataset.storage import file_entry
-from surgbench.dataset.tables import FRAME
-from surgbench.errors import ConfigError
+from surgbench.dataset.tables import FRAME, TIMESTAMP
+from surgbench.errors import ConfigError, DatasetError
 from surgbench.exporting import Material
 from surgbench.tasks.instrument.auxiliary import auxiliary_columns, pose_columns
 from surgbench.tasks.instrument.dataset import (
@@ -26,7 +26,6 @@ from surgbench.tasks.instrument.dataset import (
     state_columns,
     visibility_columns,
 )
-from surgbench.tasks.instrument.exported import dataset_of
 from surgbench.tasks.instrument.format import (
     IMAGE_KIND,
     clean_mask_path,
@@ -37,6 +36,8 @@ from surgbench.tasks.instrument.format import (
     view_folder,
     visibility_path,
 )
+from surgbench.tasks.viewpoint.dataset import ViewpointDataset
+from surgbench.tasks.viewpoint.format import CONTACT, FEATURE_COLUMNS, feature_path, scene_path
 
 CONFORMS_TO = "http://mlcommons.org/croissant/1.0"
 # Terms of the standard, as it lists them.
@@ -59,6 +60,7 @@ CONTEXT = {
         )
     },
 }  # fmt: skip
+Described = InstrumentDataset | ViewpointDataset
 UNITS = {"m": "metres", "rad": "radians", "px": "pixels", "s": "seconds"}
 
 
@@ -83,23 +85,25 @@ class CroissantExporter(Plugin):
 
     def count(self, material: Material) -> int:
         """Sequences: their frames are not looked at."""
-        return len(self._dataset(material).sequences)
+        return len(_ids(self._dataset(material)))
 
     def write(self, material: Material, folder: Path, progress: Callable[[float], None]) -> None:
         """Write the metadata."""
         dataset = self._dataset(material)
         content = json.dumps(self._metadata(dataset), indent=1, ensure_ascii=False)
         (folder / METADATA_NAME).write_text(content + "\n", encoding="utf-8")
-        progress(len(dataset.sequences))
+        progress(len(_ids(dataset)))
 
     @staticmethod
-    def _dataset(material: Material) -> InstrumentDataset:
-        dataset = dataset_of(material)
+    def _dataset(material: Material) -> Described:
+        dataset = material.dataset
         if dataset is None:
             raise ConfigError("--format croissant describes datasets; for runs choose csv, tum, bop or coco")
+        if not isinstance(dataset, (InstrumentDataset, ViewpointDataset)):
+            raise DatasetError(f"{dataset.path}: what a dataset of the {dataset.task} task holds is not known here")
         return dataset
 
-    def _metadata(self, dataset: InstrumentDataset) -> dict[str, Any]:
+    def _metadata(self, dataset: Described) -> dict[str, Any]:
         own = self.config
         told = {
             "url": own.url,
@@ -115,7 +119,7 @@ class CroissantExporter(Plugin):
             "conformsTo": CONFORMS_TO,
             "name": dataset.name,
             "description": (
-                f"Surgical instruments, {dataset.manifest.origin}: {_contents(dataset)}; "
+                f"{_subject(dataset)}, {dataset.manifest.origin}: {_contents(dataset)}; "
                 f"{dataset.manifest.counts}. " + " ".join(f"{k}: {v}." for k, v in dataset.manifest.conventions.items())
             ),
             "version": own.version,
@@ -124,7 +128,7 @@ class CroissantExporter(Plugin):
             "recordSet": records,
         }
 
-    def _manifest(self, dataset: InstrumentDataset) -> dict[str, Any]:
+    def _manifest(self, dataset: Described) -> dict[str, Any]:
         """The file that holds the hash of every other."""
         entry = file_entry((dataset.path / MANIFEST_NAME).read_bytes())
         base = "" if self.config.url is None else self.config.url.rstrip("/") + "/"
@@ -139,12 +143,11 @@ class CroissantExporter(Plugin):
             "sha256": entry.sha256,
         }
 
-    def _tables(self, dataset: InstrumentDataset) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    def _tables(self, dataset: Described) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
         """A set of files and its records for all tables with the same columns."""
         groups: dict[tuple[str, ...], list[str]] = {}
-        for sequence in dataset.sequences:
-            for name, path, columns in _tables_of(sequence):
-                groups.setdefault((name, *columns), []).append(path)
+        for name, path, columns in _all_tables(dataset):
+            groups.setdefault((name, *columns), []).append(path)
         sets, records = [], []
         names: list[str] = []
         for (kind, *columns), paths in groups.items():
@@ -165,6 +168,28 @@ class CroissantExporter(Plugin):
         return sets, records
 
 
+def _ids(dataset: Described) -> list[str]:
+    """Of its sequences, or trials."""
+    parts: Any = dataset.sequences if isinstance(dataset, InstrumentDataset) else dataset.trials
+    return [part.id for part in parts]
+
+
+def _subject(dataset: Described) -> str:
+    return "Surgical instruments" if isinstance(dataset, InstrumentDataset) else "What a camera should follow"
+
+
+def _all_tables(dataset: Described) -> Iterator[tuple[str, str, list[str]]]:
+    """What each table is about, where it lies, and its columns besides the frame."""
+    if isinstance(dataset, InstrumentDataset):
+        for sequence in dataset.sequences:
+            yield from _tables_of(sequence)
+        return
+    for trial in dataset.manifest.trials:
+        yield "observations", observations_path(trial.id), [TIMESTAMP, *FEATURE_COLUMNS]
+        if trial.truth:
+            yield "feature", feature_path(trial.id), [*FEATURE_COLUMNS, CONTACT]
+
+
 def _tables_of(sequence: Sequence) -> list[tuple[str, str, list[str]]]:
     entry = sequence.entry
     tables = [("observations", observations_path(entry.id), observation_columns(entry))]
@@ -182,11 +207,14 @@ def _tables_of(sequence: Sequence) -> list[tuple[str, str, list[str]]]:
     return tables
 
 
-def _pictures(dataset: InstrumentDataset) -> list[dict[str, Any]]:
-    """Sets of the masks of each kind, observed and clean, of each view, and of the camera's pictures.
+def _pictures(dataset: Described) -> list[dict[str, Any]]:
+    """Sets of the masks of each kind, observed and clean, of each view, and of the camera's pictures; else of scenes.
 
     Sequences are named one by one: a star that crosses folders would find the views' masks among the camera's own.
     """
+    if isinstance(dataset, ViewpointDataset):
+        scenes = [scene_path(trial.id) for trial in dataset.manifest.trials if trial.truth]
+        return [_file_set("scenes", scenes, "application/json", "The wire, and the arm's base.")] if scenes else []
     sets: dict[str, tuple[str, list[str]]] = {}
 
     def add(name: str, description: str, place: str) -> None:
@@ -206,8 +234,11 @@ def _pictures(dataset: InstrumentDataset) -> list[dict[str, Any]]:
     return [_file_set(name, includes, "image/png", description) for name, (description, includes) in sets.items()]
 
 
-def _contents(dataset: InstrumentDataset) -> str:
+def _contents(dataset: Described) -> str:
     """What a dataset has, in a few words."""
+    if isinstance(dataset, ViewpointDataset):
+        truth = any(trial.truth for trial in dataset.manifest.trials)
+        return f"measured poses over time, touched points, zones{', true poses and wires' if truth else ''}"
     entries = [sequence.entry for sequence in dataset.sequences]
     there = {
         "masks": any(entry.kinds for entry in entries),

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from surgbench.report.field import Field
     from surgbench.report.filmed import Filmed
     from surgbench.report.row import Row
+    from surgbench.report.stage import Stage, Subject
     from surgbench.report.video_options import VideoOptions
     from surgbench.reproduce.sheet import Sheet
     from surgbench.suite.asked import Conditions, FileRequest
@@ -182,6 +183,12 @@ class InstrumentTask(Task):
         from surgbench.tasks.instrument.filmed import FilmedTracker
 
         return FilmedTracker(record, dataset)
+
+    def view(self, subject: Subject, stage: Stage, progress: Callable[[str, float], Any]) -> list[str]:
+        """Pictures with outlines, the instruments in space, the errors."""
+        from surgbench.tasks.instrument.viewed import view
+
+        return view(subject, stage, progress)
 
     def hand_eye(
         self,

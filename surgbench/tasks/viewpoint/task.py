@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from surgbench.report.field import Field
     from surgbench.report.filmed import Filmed
     from surgbench.report.row import Row
+    from surgbench.report.stage import Stage, Subject
     from surgbench.report.video_options import VideoOptions
     from surgbench.reproduce.sheet import Sheet
     from surgbench.suite.asked import Conditions
@@ -165,6 +166,12 @@ class ViewpointTask(Task):
         from surgbench.tasks.viewpoint.film.filmed import FilmedController
 
         return FilmedController(record, dataset)
+
+    def view(self, subject: Subject, stage: Stage, progress: Callable[[str, float], Any]) -> list[str]:
+        """The scene, the arm that holds the camera, what it sees, the errors and rules."""
+        from surgbench.tasks.viewpoint.viewed import view
+
+        return view(subject, stage, progress)
 
     def plots(
         self,
