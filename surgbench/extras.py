@@ -18,6 +18,7 @@ EXTRAS = {
     "gym": ("gymnasium",),
     "cluster": ("distributed",),
     "browser": ("playwright",),
+    "docs": ("mkdocs", "mkdocstrings"),
     "readers": ("evo", "mlcroissant", "pycocotools"),
     "bench": ("embreex", "moderngl", "open3d"),
 }
