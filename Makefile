@@ -12,7 +12,7 @@ PIP := $(BIN)/python -m pip install --disable-pip-version-check -q -c constraint
 # Two files of tests at a time. A test that fails alone is run without: .venv/bin/python -m pytest FILE
 PYTEST := python -m pytest -q -n 2 --dist loadfile --durations=15
 
-.PHONY: demo test quick lint types unit wheel-test sdist-test image extras-test table-setup lowest setup clean
+.PHONY: demo test quick lint types unit wheel-test sdist-test image docs extras-test table-setup lowest setup clean
 
 demo: $(SETUP)
 	$(BIN)/surgbench generate mini --out $(DEMO)/mini
@@ -82,6 +82,10 @@ extras-test: $(EXTRAS)
 table-setup: $(EXTRAS)
 	apt-get install -y libllvm19 || echo "no libllvm19: install an LLVM of 17 or later, or set DRJIT_LIBLLVM_PATH"
 
+# The documentation as a site, in site/. A broken link or anchor fails it.
+docs: $(EXTRAS)
+	$(BIN)/mkdocs build --strict
+
 # The lowest declared versions, and every Python that is found; takes long, and is no part of CI.
 lowest: $(SETUP)
 	$(BIN)/python tools/lowest.py
@@ -96,7 +100,7 @@ $(SETUP): pyproject.toml constraints.txt tools/system-libraries.sh
 
 $(EXTRAS): $(SETUP)
 	sh tools/system-libraries.sh meshes browser
-	PYTHONWARNINGS=ignore $(PIP) -e '.[dev,turbo,meshes,plots,onnx,video,readers,browser,sam2,control,bags,gym,cluster,view,notebooks]'
+	PYTHONWARNINGS=ignore $(PIP) -e '.[dev,turbo,meshes,plots,onnx,video,readers,browser,sam2,control,bags,gym,cluster,view,notebooks,docs]'
 	touch $@
 
 clean:

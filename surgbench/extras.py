@@ -20,6 +20,7 @@ EXTRAS = {
     "view": ("rerun",),
     "browser": ("playwright",),
     "notebooks": ("ipykernel", "nbclient", "nbformat"),
+    "docs": ("mkdocs", "mkdocstrings"),
     "readers": ("evo", "mlcroissant", "pycocotools"),
     "bench": ("embreex", "moderngl", "open3d"),
 }

@@ -179,7 +179,10 @@ def test_python_in_a_document_compiles_and_finds_what_it_imports(source: str) ->
     exec(compile(tree, "document", "exec", dont_inherit=True), {})
 
 
-@pytest.mark.parametrize(("document", "name"), [("README.md", "Still"), ("CONTRIBUTING.md", "MineTracker")])
+@pytest.mark.parametrize(
+    ("document", "name"),
+    [("README.md", "Still"), ("CONTRIBUTING.md", "MineTracker"), ("docs/add-tracker.md", "MineTracker")],
+)
 def test_a_tracker_in_a_document_tracks(document: str, name: str, tmp_path: Path) -> None:
     play, tracker = make_play(frames=2), load(document, name, tmp_path)
     tracker.reset(play.scene, play.truth[0], np.random.default_rng(0))
