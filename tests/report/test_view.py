@@ -66,7 +66,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> InstrumentDataset:
 @pytest.fixture(scope="module")
 def runs(dataset: InstrumentDataset, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two rows on one arm, the other of which got no further than its second frame; and one that failed at once."""
-    common = {"dataset": (dataset.name, dataset.hash), "dataset_path": str(dataset.path)}
+    common: dict[str, Any] = {"dataset": (dataset.name, dataset.hash), "dataset_path": str(dataset.path)}
     whole = record(frames=FRAMES, **common)
     whole["frames"]["state"] = states_of("left").tolist()
     part = record(row_id="odd", frames=2, **common)
