@@ -83,4 +83,4 @@ $(EXTRAS): $(SETUP)
 	touch $@
 
 clean:
-	rm -rf build $(DEMO)
+	rm -rf build site $(DEMO)

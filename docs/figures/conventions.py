@@ -71,7 +71,7 @@ def draw_camera() -> None:
     label(space, flat([0, 0, 0]) + np.array([-0.12, 0.12]), "camera", ha="right")
     space.plot(*flat([[0, 0, 0.95], [0, 0, depth]]).T, color=Z, lw=1, ls=(0, (4, 3)), zorder=2)
     space.plot(*flat([0, 0, depth]), "o", color=Z, ms=4, zorder=3)
-    label(space, flat([0, 0, depth]) + np.array([0.07, -0.1]), "(cx, cy)", Z, ha="left", fontsize=9)
+    label(space, flat([0, 0, depth]) + np.array([0.0, -0.13]), "(cx, cy)", Z, fontsize=9)
     seen = np.array([0.34, -0.42, depth])
     point = seen * 1.6
     space.plot(*flat([np.zeros(3), seen]).T, color=MARK, lw=1, zorder=2)
