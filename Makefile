@@ -104,4 +104,4 @@ $(EXTRAS): $(SETUP)
 	touch $@
 
 clean:
-	rm -rf build $(DEMO)
+	rm -rf build site $(DEMO)

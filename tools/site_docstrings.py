@@ -1,4 +1,4 @@
-"""An extension of Griffe: `Example:` of our docstrings is its section `Examples:`, whose Python it sets as code."""
+"""An extension of Griffe for the site: examples in docstrings are set as code, roles of Sphinx are left out."""
 
 from __future__ import annotations
 
@@ -14,4 +14,5 @@ class Examples(griffe.Extension):
     def on_instance(self, *, obj: Any, **_: Any) -> None:
         """Of each module, class, function and attribute."""
         if obj.docstring is not None:
-            obj.docstring.value = re.sub(r"^( *)Example:$", r"\1Examples:", obj.docstring.value, flags=re.MULTILINE)
+            text = re.sub(r"^( *)Example:$", r"\1Examples:", obj.docstring.value, flags=re.MULTILINE)
+            obj.docstring.value = re.sub(r":[a-z]+:(`+)~?([^`]+)\1", r"`\2`", text)

@@ -18,7 +18,8 @@ import surgbench
 
 ROOT = next(folder for folder in Path(__file__).parents if (folder / "pyproject.toml").is_file())
 DOCUMENTS = [ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")]
-DOCUMENTS += sorted((ROOT / "docs").glob("*.md"))
+PAGES = sorted((ROOT / "docs").rglob("*.md"))
+DOCUMENTS += PAGES
 # Not in the API's reference: a module, whose functions are there one by one, and a number.
 NOT_IN_REFERENCE = {"metrics", "__version__"}
 
@@ -48,7 +49,7 @@ def anchors(document: Path) -> frozenset[str]:
         slug = re.sub(r"[^\w\- ]", "", text.lower()).replace(" ", "-")
         names.add(f"{slug}-{seen[slug]}" if seen[slug] else slug)
         seen[slug] += 1
-    return frozenset(names)
+    return frozenset(names) | set(re.findall(r"<a (?:name|id)=\"([^\"]+)\"", prose(document)))
 
 
 def broken(document: Path) -> list[str]:
@@ -57,9 +58,8 @@ def broken(document: Path) -> list[str]:
     for link in links(document):
         path, _, anchor = unquote(link).partition("#")
         target = (document.parent / path).resolve() if path else document
-        if not target.exists() or not target.is_relative_to(ROOT.resolve()):
-            lost.append(link)
-        elif anchor and target.suffix == ".md" and anchor not in anchors(target):
+        there = target.exists() and target.is_relative_to(ROOT.resolve())
+        if not there or (anchor and target.suffix == ".md" and anchor not in anchors(target)):
             lost.append(link)
     return lost
 
@@ -74,16 +74,16 @@ def test_broken_links_are_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     (tmp_path / "other.md").write_text("# `A` heading: twice\n\n## A heading twice\n\n```sh\n# no heading\n```\n")
     page = tmp_path / "page.md"
     page.write_text(
-        "[1](other.md#a-heading-twice) [2](other.md#a-heading-twice-1) [3](other.md#no-heading) [4](none.md) [5](#none)\n"
-        "`[6](none)` [7](https://example.org/none) ![8](none.png)\n\n```python\nnothing[0](none)\n```\n"
+        "[1](other.md#a-heading-twice) [2](other.md#a-heading-twice-1) [3](other.md#no-heading) [4](none.md)\n"
+        "[5](#none) `[6](none)` [7](https://example.org/none) ![8](none.png)\n\n```python\nnothing[0](none)\n```\n"
     )
     assert broken(page) == ["other.md#no-heading", "none.md", "#none", "none.png"]
 
 
 def test_every_page_is_in_the_navigation() -> None:
     navigation = (ROOT / "mkdocs.yml").read_text(encoding="utf-8").partition("\nnav:\n")[2]
-    named = re.findall(r"\b([\w-]+\.md)$", navigation, flags=re.MULTILINE)
-    assert sorted(named) == sorted(path.name for path in (ROOT / "docs").glob("*.md"))
+    named = re.findall(r": ([\w/-]+\.md)$", navigation, flags=re.MULTILINE)
+    assert sorted(named) == sorted(path.relative_to(ROOT / "docs").as_posix() for path in PAGES)
 
 
 def test_the_reference_has_all_public_names() -> None:
