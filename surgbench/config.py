@@ -29,7 +29,20 @@ NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Count = Annotated[int, Field(ge=1)]
 # Of datasets, sequences, views and arms: they become names of files.
 LONGEST_NAME = 100
+# So many of anything that is asked for: none are needed, and more would only fill the memory before they are missed.
+MOST_REPEATS, MOST_ROWS = 10_000, 10_000
 Name = Annotated[str, Field(pattern=f"^{NAME_PATTERN}$", max_length=LONGEST_NAME)]
+
+
+def one_line(text: str) -> str:
+    r"""A text by a stranger as a terminal may show it: one line, without characters that it would take for orders.
+
+    Example:
+        >>> from surgbench.config import one_line
+        >>> one_line("fine\x1b[2J\nfits: all")
+        'fine [2J fits: all'
+    """
+    return "".join(letter if letter.isprintable() else " " for letter in text)
 
 
 class Section(BaseModel):

@@ -50,6 +50,8 @@ def write_atomic(path: Path, data: bytes) -> None:
     Raises:
         OSError: It cannot be written; names ``path``.
     """
+    if not path.name or path.is_dir():
+        raise IsADirectoryError(errno.EISDIR, "is a folder; name a file", str(path))
     path.parent.mkdir(parents=True, exist_ok=True)
     # Two machines, or two containers, that share the folder may each have a process of this number.
     partial = path.with_name(f"{path.name}.{os.getpid()}.{token_hex(4)}{PARTIAL_SUFFIX}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import fcntl
 import os
 from collections.abc import Iterator
@@ -60,6 +61,8 @@ def locked_beside(path: Path) -> Iterator[bool]:
     Raises:
         OSError: Nothing can be written there.
     """
+    if not path.name or path.is_dir():
+        raise IsADirectoryError(errno.EISDIR, "is a folder; name a file", str(path))
     beside = path.with_name(path.name + LOCK_SUFFIX)
     beside.parent.mkdir(parents=True, exist_ok=True)
     descriptor = lock(beside, os.O_RDWR | os.O_CREAT)

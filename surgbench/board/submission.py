@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
-from surgbench.config import Section, parse_model
+from surgbench.config import Section, one_line, parse_model
 from surgbench.errors import DatasetError, SurgbenchError
 from surgbench.files import MOST_JSON_BYTES, sha256_bytes, sha256_file, write_atomic
 from surgbench.leftovers import without_leftovers
@@ -30,7 +30,7 @@ MOST_RECORDS, MOST_BYTES = 100_000, 1 << 30
 _DATE = (1980, 1, 1, 0, 0, 0)
 
 Sha256 = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
-Line = Annotated[str, Field(max_length=1000)]
+Line = Annotated[str, Field(max_length=1000), AfterValidator(one_line)]
 
 
 class Listed(Section):
@@ -58,7 +58,7 @@ class Statement(Section):
     format: Literal["surgbench-submission-1"]
     created_by: Line
     by: Line
-    text: Annotated[str, Field(max_length=10_000)] = ""
+    text: Annotated[str, Field(max_length=10_000), AfterValidator(one_line)] = ""
     rows: tuple[Line, ...]
     datasets: dict[str, Sha256]
     machines: tuple[Line, ...]

@@ -146,9 +146,15 @@ def run_again(
         job: Job = find_task(record.spec.task).recorded_job({**content, "references": own}, dataset)
         source = find("tracker", own["tracker"])
     except (SurgbenchError, KeyError, ValueError, TypeError) as error:
-        return unknown(f"tracker '{name}' cannot be run here ({error})")
-    if source.name != name or source.hash != record.spec.tracker.source.rpartition("@")[2]:
-        return unknown(f"tracker '{name}' has another source here; for its own: --tracker {name}=FILE.py:Class")
+        where = f": {error}" if name in references else f"; where it is: --tracker {name}=FILE.py:Class"
+        return unknown(f"tracker '{name}' cannot be run here{where}")
+    recorded = record.spec.tracker.source.rpartition("@")[2]
+    if source.name != name or source.hash != recorded:
+        given = f"; for its own: --tracker {name}=FILE.py:Class" if name not in references else ""
+        return unknown(
+            f"{references.get(name, 'what is here')} is not the tracker '{name}' that was run (its code is "
+            f"{source.hash[:8]}, not {recorded[:8]}){given}"
+        )
     if job.settings.unavailable is not None:
         return unknown(job.settings.unavailable)
     count = min(frames, len(record.frames.index))

@@ -57,14 +57,14 @@ def verify(
 
     All estimates are scored again against the truth. N runs, chosen by the file's hash, are made again where their
     tracker is here; one of somebody else is run with your rights, and only where you name it. The exit code is 1 where
-    something does not fit.
+    something does not fit; it is 0 where all that could be looked at fits, and the last line says what could not.
     """
     from rich.console import Console
 
     from surgbench.board.submission import read_submission
     from surgbench.board.verify import choose, incomplete, rescore, run_again
     from surgbench.dataset.open import open_dataset
-    from surgbench.errors import ConfigError, SurgbenchError
+    from surgbench.errors import ConfigError, SurgbenchError, unknown_name
     from surgbench.report.render import print_leaderboard
     from surgbench.report.rows import derive_rows
     from surgbench.suite.running import Run
@@ -76,6 +76,10 @@ def verify(
     submission = read_submission(file)
     datasets = {one.hash: one for one in map(open_dataset, dataset)}
     told = submission.statement
+    trackers = sorted({record.spec.tracker.name for record in submission.records})
+    for name in places:
+        if name not in trackers:
+            raise ConfigError(f"--tracker {name}: {unknown_name('tracker of the submission', name, trackers)}")
     print(f"{', '.join(told.rows)} by {told.by}, made with {told.created_by}", file=sys.stderr)
     if told.text:
         print(told.text, file=sys.stderr)

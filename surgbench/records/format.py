@@ -5,8 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
+from surgbench.config import one_line
 from surgbench.geometry import FloatArray
 
 RECORD_FORMAT = "surgbench-record-2"
@@ -18,7 +19,9 @@ SKIPPED = "skipped"  # the status of a run that the machine lacks something for
 
 Number = float | None
 # Files that are made of a record are called by these: no place elsewhere, nothing that a terminal takes for an order.
-FileName = Annotated[str, Field(pattern=r"^[^./\\\x00-\x1f][^/\\\x00-\x1f]*$")]
+FileName = Annotated[str, Field(pattern=r"^[^./\\\x00-\x1f\x7f-\x9f][^/\\\x00-\x1f\x7f-\x9f]*$")]
+# Whatever else a record says is shown in terminals and tables, too.
+Said = Annotated[str, AfterValidator(one_line)]
 
 
 class Part(BaseModel):
@@ -38,8 +41,8 @@ class DatasetRef(Part):
 class Plug(Part):
     """A plug-in, its effective options, and where its code is from, with the hash of that: ``place@hash``."""
 
-    name: str
-    source: str = ""
+    name: Said
+    source: Said = ""
     options: dict[str, Any] = {}
 
 
@@ -50,15 +53,15 @@ class RecordSpec(Part):
         engine: Hash of the code besides plug-ins that made it; empty in records of old versions.
     """
 
-    task: str
-    engine: str = ""
+    task: Said
+    engine: Said = ""
     dataset: DatasetRef
     unit: FileName
     sequence: FileName
     row_id: FileName
     tracker: Plug
     repeat: int
-    level: str | float | None = None
+    level: Said | float | None = None
 
 
 class Frames(Part):
@@ -97,16 +100,16 @@ class Record(Part):
     spec_hash: str
     settings_hash: str
     spec: RecordSpec
-    variant: str = ""
-    status: str
-    error: str | None = None
+    variant: Said = ""
+    status: Said
+    error: Said | None = None
     dataset_path: str | None = None
     unit_frames: int
     dataset_frames: int | None = None
     floor: bool = False
     calibration_ms: Number = None
     elapsed_s: Number = None
-    hint: str | None = None
+    hint: Said | None = None
     about: dict[str, Any] = {}
     frames: Frames
     errors: dict[str, FloatArray]
@@ -120,7 +123,7 @@ class Record(Part):
         environment = self.about.get("environment")
         machine = environment.get("machine") if isinstance(environment, dict) else None
         found = machine.get("processor") if isinstance(machine, dict) else None
-        return found if isinstance(found, str) else None
+        return one_line(found) if isinstance(found, str) else None
 
     @model_validator(mode="after")
     def _errors_match(self) -> Record:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
+from surgbench.config import one_line
 from surgbench.report.column import STATUS, VARIANT, Column
 from surgbench.report.leaderboard import Ranking, groups, reason, set_columns, unsound, variant_tells
 from surgbench.report.row import Row
@@ -22,8 +23,7 @@ _SPECIAL = re.compile("|".join(map(re.escape, _ESCAPED)))
 
 def escape(text: str) -> str:
     """A text as it may stand in a cell, in one line, without characters that LaTeX cannot set."""
-    plain = "".join(letter if letter.isprintable() else " " for letter in text)
-    return _SPECIAL.sub(lambda found: _ESCAPED[found[0]], " ".join(plain.split()))
+    return _SPECIAL.sub(lambda found: _ESCAPED[found[0]], " ".join(one_line(text).split()))
 
 
 def latex(rows: Sequence[Row]) -> str:

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from surgbench.config import Count, Section
+from surgbench.config import MOST_REPEATS, Count, Section
 from surgbench.kinds import NAME_PATTERN
 from surgbench.processes.memory import Size
 
@@ -41,7 +41,7 @@ class Conditions(Section):
 
     arms: Literal["single", "dual"] = "single"
     seed: Annotated[int, Field(ge=0)] = 0
-    repeats: Count = 1
+    repeats: Annotated[Count, Field(le=MOST_REPEATS)] = 1
     timeout_s: Annotated[float, Field(gt=0)] = 120.0
     memory: Size | None = None
     device: Device = "cpu"

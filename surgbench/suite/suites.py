@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from copy import deepcopy
 from functools import cache
 from itertools import product
@@ -10,7 +11,7 @@ from typing import Annotated, Any
 
 from pydantic import Field, create_model
 
-from surgbench.config import locate, parse_model, parse_value, read_yaml
+from surgbench.config import MOST_ROWS, locate, parse_model, parse_value, read_yaml
 from surgbench.dataset.manifest import dataset_name
 from surgbench.errors import ConfigError
 from surgbench.registry import find
@@ -69,6 +70,9 @@ def _spread(row: Any, source: str) -> list[Any]:
     if not isinstance(grid, dict) or not grid or not all(isinstance(one, list) and one for one in grid.values()):
         raise ConfigError(f"{source}: 'grid' maps options to lists of values, as {{cmaes.population: [50, 70, 100]}}")
     tracker = find("tracker", str(row.get("tracker", ""))).name
+    count = math.prod(map(len, grid.values()))
+    if count > MOST_ROWS:
+        raise ConfigError(f"{source}: 'grid' has {count} combinations of values, more than {MOST_ROWS} rows")
     rows = []
     for values in product(*grid.values()):
         options, name = deepcopy(rest.get("options") or {}), str(rest.get("row_id") or tracker)

@@ -20,6 +20,7 @@ from commandline import RUN, surgbench
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from pyarrow import parquet
+from pydantic import TypeAdapter, ValidationError
 from readers import READERS, samples
 from small_dataset import CAMERA, FRAMES, make_pair
 
@@ -282,3 +283,54 @@ def test_whatever_a_file_holds_its_reader_says_one_line(name: str, scratch: Path
     except SurgbenchError as error:
         said = str(error)
     assert "\n" not in said
+
+
+def test_what_a_stranger_says_is_one_line_without_orders_to_a_terminal() -> None:
+    from surgbench.board.submission import Statement
+    from surgbench.records.format import FileName, Plug
+
+    evil = "X\x1b[2J\nfits: 4 scored again\x9b31m\x07"
+    told = Statement.model_validate(
+        {
+            "format": "surgbench-submission-1",
+            "created_by": evil,
+            "by": evil,
+            "text": evil,
+            "rows": [evil],
+            "datasets": {},
+            "machines": [evil],
+            "records": [{"file": "records/000000.json", "sha256": "0" * 64, "spec_hash": "0"}],
+        }
+    )
+    for text in (told.created_by, told.by, told.text, *told.rows, *told.machines, Plug(name=evil).name):
+        assert text.isprintable()
+    for name in ("a\x1bb", "a\x9bb", "a\x7fb"):
+        with pytest.raises(ValidationError):
+            TypeAdapter(FileName).validate_python(name)
+
+
+@pytest.mark.parametrize("command", ["report", "compare"])
+def test_out_that_is_a_folder_is_said_in_one_line(
+    command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data, runs = tmp_path / "data", tmp_path / "runs"
+    make_pair(data)
+    trackers = ("--tracker", "xnes", "--tracker", "cmaes", "--initialiser", "truth")
+    surgbench(*RUN, "--dataset", data, *trackers, "--frames", 1, "--out", runs)
+    for out in (tmp_path, Path("/")):
+        capsys.readouterr()
+        surgbench(command, runs, "--out", out, "--format", "csv", expect=2)
+        assert "is a folder; name a file" in capsys.readouterr().err
+
+
+def test_more_of_anything_than_anybody_needs_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    data = tmp_path / "data"
+    make_pair(data)
+    grid = tmp_path / "grid.yaml"
+    keys = "".join(f"      cmaes.{key}: [{', '.join(map(str, range(10, 110)))}]\n" for key in ("a", "b", "c"))
+    grid.write_text(f"rows:\n  - tracker: cmaes\n    grid:\n{keys}")
+    command = (*RUN, "--dataset", data, "--out", tmp_path / "runs")
+    surgbench(*command, "--suite", grid, expect=2)
+    assert "1000000 combinations" in capsys.readouterr().err
+    surgbench(*command, "--tracker", "cmaes", "--repeats", 10**20, expect=2)
+    assert "10000" in capsys.readouterr().err
