@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from surgbench.geometry import FloatArray, look_at_rotation
 from surgbench.instrument.observability import observable
-from surgbench.instrument.spec import JOINT_NAMES, InstrumentSpec, LinkPoint, Quantity, Symmetry
-from surgbench.state import ANGLES, BETA, JOINTS, POSITION, STATE_SIZE, JointLimits
+from surgbench.instrument.spec import JOINT_NAMES, InstrumentSpec, LinkPoint, Quantity
+from surgbench.state import ANGLES, BETA, JOINTS, POSITION, STATE_SIZE, JointLimits, Symmetry
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from surgbench.config import Finite, Section
+from surgbench.state import Symmetry
 
 Range = tuple[Finite, Finite]
 Vector3 = tuple[Finite, Finite, Finite]
@@ -18,9 +19,6 @@ JOINT_NAMES = ("wrist_pitch", "wrist_yaw", "jaw")
 JointName = Literal["wrist_pitch", "wrist_yaw", "jaw"]
 # What an instrument may show of its state besides place and direction: the turn about its shaft, and its joints.
 Quantity = Literal["roll", "wrist_pitch", "wrist_yaw", "jaw"]
-# What turns an instrument into one that looks (nearly) the same: half a turn about the shaft with the wrist's joints
-# reversed (surgbench.state.twin); nothing; any turn about the shaft.
-Symmetry = Literal["twin", "none", "axis"]
 
 
 class CrossSection(Section):
