@@ -89,7 +89,7 @@ def feature_poses(settings: Auxiliary, instrument: Instrument, states: FloatArra
 
     The tool frame is the dVRK's: of the link that carries the jaws, x = -z, y = -x and z = y.
     """
-    jaw = instrument.spec.links[instrument.link_index[instrument.spec.tips[0].link]]
+    jaw = instrument.spec.links[instrument.link_index[instrument.tips[0].link]]
     carrier = instrument.link_transforms(states)[:, instrument.link_index[jaw.parent or jaw.name]]
     tool = np.stack([-carrier[:, :3, 2], -carrier[:, :3, 0], carrier[:, :3, 1]], axis=-1)
     feature = rigid_transform(tool, carrier[:, :3, 3] + settings.feature_m * tool[..., 2])

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from surgbench.alike import choose_seen_alike
 from surgbench.geometry import FloatArray, look_at_rotation, rotation_angle, wrap_angle
-from surgbench.state import ANGLES, BETA, JOINTS, POSITION, STATE_SIZE, twin
+from surgbench.state import ANGLES, BETA, JOINTS, POSITION, STATE_SIZE, Symmetry, twin
 
 if TYPE_CHECKING:
     from surgbench.camera import Camera
@@ -50,7 +50,7 @@ RECOVERED_M = 0.005
 BETA_ROUNDING_RAD = 16 * np.finfo(np.float64).eps
 
 
-def choose_twin(estimate: FloatArray, truth: FloatArray) -> FloatArray:
+def choose_twin(estimate: FloatArray, truth: FloatArray, symmetry: Symmetry = "twin") -> FloatArray:
     """Per state, the estimate or its 180-degree twin, whichever has the smaller wrapped error of beta.
 
     The two have nearly the same silhouette; this is the paper's rule for which of them is evaluated, in all
@@ -59,6 +59,8 @@ def choose_twin(estimate: FloatArray, truth: FloatArray) -> FloatArray:
     Args:
         estimate: ``(..., 9)`` states of one arm.
         truth: Same shape.
+        symmetry: The instrument's, :attr:`surgbench.instrument.Instrument.symmetry`; unless it is ``twin``, estimates
+            are kept as they are.
 
     Returns:
         Same shape. A beta that equals the true one up to full turns and rounding is the true one.
@@ -72,7 +74,7 @@ def choose_twin(estimate: FloatArray, truth: FloatArray) -> FloatArray:
         array([ 0.3 ,  0.4 ,  0.8 ,  0.  ,  0.  ,  0.13,  0.2 , -0.1 ,  0.3 ])
     """
     estimate, truth = np.asarray(estimate, dtype=np.float64), np.asarray(truth, dtype=np.float64)
-    other = twin(estimate)
+    other = twin(estimate) if symmetry == "twin" else estimate
     own_error = np.abs(wrap_angle(estimate[..., BETA] - truth[..., BETA]))
     other_error = np.abs(wrap_angle(other[..., BETA] - truth[..., BETA]))
     chosen: FloatArray = np.where((other_error < own_error)[..., None], other, estimate)
@@ -119,8 +121,8 @@ def pose_errors(
 
     Returns:
         ``POSE_ERRORS`` to ``(T,)``: geodesic rotation error (rad), distance of the wrist-pitch frame's origin (m),
-        mean distance of the two tips (m), absolute joint errors (rad; q3 is the half jaw angle), and the sum of
-        both tips' pixel distances under the better assignment. That last one is NaN where a tip is behind
+        mean distance of the tips (m), absolute joint errors (rad; q3 is the half jaw angle), and the sum of
+        the tips' pixel distances under the better assignment. That last one is NaN where a tip is behind
         the camera; the error of a joint that the instrument has not is NaN.
 
     Example:
@@ -138,7 +140,7 @@ def pose_errors(
         (array([0.]), array([0.002]), array([0.002]))
     """
     truth = np.asarray(truth, dtype=np.float64)
-    chosen = choose_seen_alike(choose_twin(estimate, truth), truth, instrument.observed)
+    chosen = choose_seen_alike(choose_twin(estimate, truth, instrument.symmetry), truth, instrument.observed)
     tips, true_tips = instrument.tips_cam(chosen), instrument.tips_cam(truth)
     joints = np.abs(chosen[..., JOINTS] - truth[..., JOINTS])
     joints[..., ~instrument.observed[JOINTS]] = np.nan
@@ -149,7 +151,7 @@ def pose_errors(
         joints[..., 0],
         joints[..., 1],
         joints[..., 2],
-        keypoint_error(camera.project(tips), camera.project(true_tips)),
+        keypoint_error(*(camera.project(places[..., : len(instrument.spec.tips), :]) for places in (tips, true_tips))),
     )
     return dict(zip(POSE_ERRORS, values, strict=True))
 
@@ -158,7 +160,7 @@ def keypoint_error(estimate_px: FloatArray, true_px: FloatArray) -> FloatArray:
     """Sum of both tips' pixel distances under the better of the two assignments.
 
     Args:
-        estimate_px: ``(..., 2, 2)`` two tips, (u, v).
+        estimate_px: ``(..., 2, 2)`` two tips, (u, v); ``(..., 1, 2)`` of a tool with one.
         true_px: Same shape.
 
     Returns:
@@ -216,7 +218,11 @@ def mask_error(area_estimate: ArrayLike, area_reference: ArrayLike, overlap: Arr
 
 
 def interval_coverages(
-    estimate: FloatArray, standard_deviations: FloatArray, truth: FloatArray, observed: ArrayLike | None = None
+    estimate: FloatArray,
+    standard_deviations: FloatArray,
+    truth: FloatArray,
+    observed: ArrayLike | None = None,
+    symmetry: Symmetry = "twin",
 ) -> dict[str, FloatArray]:
     """Of each frame, the share of components whose stated central 90 % interval holds the truth.
 
@@ -228,6 +234,7 @@ def interval_coverages(
         truth: As those.
         observed: ``(9,)`` bool, or ``(..., 9)``: components that can be seen of the instrument; all unless told.
             Others do not count.
+        symmetry: The instrument's, for :func:`choose_twin`.
 
     Returns:
         The names of ``INTERVAL_COVERAGES`` to ``(...)`` shares, 0 to 1; NaN where a frame has no standard deviations,
@@ -245,7 +252,7 @@ def interval_coverages(
         (0.667, 1.0)
     """
     truth = np.asarray(truth, dtype=np.float64)
-    errors = choose_twin(estimate, truth) - truth
+    errors = choose_twin(estimate, truth, symmetry) - truth
     errors[..., ANGLES] = wrap_angle(errors[..., ANGLES])
     held = np.abs(errors) <= INTERVAL_SIGMAS * np.asarray(standard_deviations)
     inside: FloatArray = np.where(np.isnan(standard_deviations), np.nan, held)

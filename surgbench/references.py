@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from surgbench.geometry import FloatArray
-from surgbench.state import JOINTS, JointLimits, twin
+from surgbench.state import JOINTS, JointLimits, Symmetry, twin
 
 
 def reference_tip_error(estimate_px: FloatArray, marked_px: FloatArray) -> FloatArray:
@@ -44,7 +44,11 @@ def reference_tip_error(estimate_px: FloatArray, marked_px: FloatArray) -> Float
 
 
 def reference_joint_errors(
-    estimate: FloatArray, readings: FloatArray, limits: JointLimits, observed: np.ndarray
+    estimate: FloatArray,
+    readings: FloatArray,
+    limits: JointLimits,
+    observed: np.ndarray,
+    symmetry: Symmetry = "twin",
 ) -> FloatArray:
     """Of each joint, how far the estimate is from the robot's reading.
 
@@ -57,6 +61,7 @@ def reference_joint_errors(
             jaws that press, they count as at them.
         limits: The instrument's search limits.
         observed: ``(9,)`` bool, :attr:`surgbench.instrument.Instrument.observed`.
+        symmetry: The instrument's; one without a twin is held against the readings as it is estimated.
 
     Returns:
         ``(T, 3)`` rad; NaN where there is no reading, and for joints that the instrument has not.
@@ -75,7 +80,7 @@ def reference_joint_errors(
     """
     wanted = limits.clip(np.asarray(readings, dtype=np.float64))
     states = np.asarray(estimate, dtype=np.float64)
-    own, other = (np.abs(one[..., JOINTS] - wanted) for one in (states, twin(states)))
+    own, other = (np.abs(one[..., JOINTS] - wanted) for one in (states, twin(states) if symmetry == "twin" else states))
     nearer = other[..., :2].sum(axis=-1) < own[..., :2].sum(axis=-1)
     errors: FloatArray = np.where(nearer[..., None], other, own)
     errors[..., ~observed[JOINTS]] = np.nan

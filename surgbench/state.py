@@ -8,6 +8,7 @@ states, left first, shape ``(18,)``.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -19,6 +20,10 @@ ALPHA, BETA, GAMMA = 0, 1, 2
 ANGLES = slice(0, 3)
 POSITION = slice(3, 6)
 JOINTS = slice(6, 9)
+
+# What turns an instrument into one that looks (nearly) the same: half a turn about the shaft with the wrist's joints
+# reversed (see twin); nothing; any turn about the shaft.
+Symmetry = Literal["twin", "none", "axis"]
 
 # Natural step of each component: 0.01 rad for alpha and gamma, 0.1 rad for beta, 1 mm, 0.1 rad for the wrist joints
 # and for the opening between the jaws, half of which is q3. Those of the released code of Hu et al. 2026, but for q3,

@@ -13,6 +13,7 @@ from surgbench.handeye.fit import NOMINAL, Scales, costs, residuals, robust_fit,
 from surgbench.handeye.motion import ALIKE_FRAMES, LEAST_FRAMES, TooLittleMotionError
 from surgbench.handeye.stretch import USUAL
 from surgbench.handeye.track import ReadingTrack
+from surgbench.state import Symmetry
 
 # A lag at which fewer of the frames have a reading is not looked at.
 LEAST_SHARE = 0.5
@@ -62,12 +63,14 @@ class Frames:
         tracked: ``(n, 4, 4)`` T_cam_wrist.
         track: The readings.
         dt_s: Seconds between frames.
+        symmetry: The instrument's.
     """
 
     times_s: FloatArray
     tracked: FloatArray
     track: ReadingTrack
     dt_s: float
+    symmetry: Symmetry = "twin"
 
     def arm(self, lag_frames: float) -> FloatArray:
         """``(n, 4, 4)`` what the readings say of each frame, if they are so late."""
@@ -84,7 +87,8 @@ class Frames:
         """Residuals ``(n, 6)``, radians and metres in the camera's frame."""
         stretched = self.track.stretch_at(self.times_s + found.lag_frames * self.dt_s) @ found.stretch
         turned = stretched.reshape(-1, 2, 3) @ found.T_cam_base[:3, :3].T
-        return residuals(found.T_cam_base, self.tracked, self.arm(found.lag_frames)) + turned.reshape(-1, 6)
+        expected = self.arm(found.lag_frames)
+        return residuals(found.T_cam_base, self.tracked, expected, self.symmetry) + turned.reshape(-1, 6)
 
 
 def align(frames: Frames, max_lag_frames: int) -> Alignment:
@@ -101,8 +105,8 @@ def align(frames: Frames, max_lag_frames: int) -> Alignment:
         raise TooLittleMotionError(f"{count} frames have an estimate and a reading; {LEAST_FRAMES} are needed")
     arm, scales = frames.arm(lag), NOMINAL
     for _ in range(REFINEMENTS):
-        transform = robust_fit(frames.tracked, arm, scales)
-        scales = spread(residuals(transform, frames.tracked, arm))
+        transform = robust_fit(frames.tracked, arm, scales, frames.symmetry)
+        scales = spread(residuals(transform, frames.tracked, arm, frames.symmetry))
     found = Alignment(float(lag), transform, np.zeros(4))
     for _ in range(REFINEMENTS):
         found = _refine(frames, found, lag, scales)
@@ -129,7 +133,8 @@ def _cost(frames: Frames, lag_frames: int) -> float:
     if there.sum() < max(LEAST_SHARE * len(arm), 2):
         return float("inf")
     tracked, arm = frames.tracked[there], arm[there]
-    return float(costs(robust_fit(tracked, arm, NOMINAL), tracked, arm, NOMINAL))
+    found = robust_fit(tracked, arm, NOMINAL, frames.symmetry)
+    return float(costs(found, tracked, arm, NOMINAL, frames.symmetry))
 
 
 def _refine(frames: Frames, start: Alignment, lag_frames: int, scales: Scales) -> Alignment:

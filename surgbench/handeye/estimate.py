@@ -12,6 +12,7 @@ from surgbench.geometry import FloatArray
 from surgbench.handeye.align import Frames, align
 from surgbench.handeye.motion import LEAST_FRAMES, WORST_RESOLUTION_FRAMES, Motion, TooLittleMotionError, measure_motion
 from surgbench.handeye.track import ReadingTrack
+from surgbench.state import Symmetry
 
 # Three seconds of 30 frames: what users of published recordings met was less (SurgPose: up to 71 frames).
 MAX_LAG_FRAMES = 90
@@ -69,6 +70,7 @@ def estimate_hand_eye(
     dt_s: float,
     counts: NDArray[np.bool_] | None = None,
     max_lag_frames: int = MAX_LAG_FRAMES,
+    symmetry: Symmetry = "twin",
 ) -> HandEye:
     """The one transform and the one lag that most frames agree on.
 
@@ -84,6 +86,8 @@ def estimate_hand_eye(
         dt_s: Seconds between frames.
         counts: ``(T,)`` which estimates to learn from; all unless told. Residuals are of all.
         max_lag_frames: The largest lag to look for, to either side.
+        symmetry: The instrument's, :attr:`surgbench.instrument.Instrument.symmetry`: which of the poses that look the
+            same counts.
 
     Raises:
         TooLittleMotionError: Too few frames, or the arm moves too little; one line.
@@ -115,8 +119,8 @@ def estimate_hand_eye(
             f"the arm moves too little to judge by: {few}{motion}; it must be to {WORST_RESOLUTION_FRAMES:g}, as of a "
             "longer or livelier recording"
         )
-    found = align(Frames(times_s[usable], tracked[usable], track, dt_s), max_lag_frames)
-    whole = Frames(times_s, tracked, track, dt_s).known(found.lag_frames)
+    found = align(Frames(times_s[usable], tracked[usable], track, dt_s, symmetry), max_lag_frames)
+    whole = Frames(times_s, tracked, track, dt_s, symmetry).known(found.lag_frames)
     off = np.full((len(times_s), 6), np.nan)
     off[np.isin(times_s, whole.times_s)] = whole.off(found)
     middle = whole.arm(found.lag_frames)[:, :3, 3].mean(axis=0)

@@ -6,7 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from surgbench.geometry import FloatArray, inverse_transform, rigid_transform, rotation_vector
+from surgbench.geometry import FloatArray, inverse_transform, rigid_transform, rotation_from_vector, rotation_vector
+from surgbench.state import Symmetry
 
 # Frames whose own transform is tried as a beginning, and how often weights are taken anew from there.
 STARTS = 8
@@ -34,28 +35,40 @@ class Scales(NamedTuple):
 NOMINAL = Scales(0.05, 0.002)
 
 
-def residuals(transform: FloatArray, tracked: FloatArray, arm: FloatArray) -> FloatArray:
+def residuals(transform: FloatArray, tracked: FloatArray, arm: FloatArray, symmetry: Symmetry = "twin") -> FloatArray:
     """How far tracked poses are from where a transform puts the arm's, after the twin rule.
 
-    A tracked pose and the one turned by half a turn about its z axis, the shaft, have nearly the same silhouette: the
-    one of the two that is nearer counts.
+    A tracked pose and, of an instrument with a twin, the one turned by half a turn about its z axis, the shaft, have
+    nearly the same silhouette: the one of the two that is nearer counts.
 
     Args:
         transform: ``(4, 4)`` T_cam_base.
         tracked: ``(n, 4, 4)`` T_cam_wrist.
         arm: ``(n, 4, 4)`` T_base_wrist.
+        symmetry: The instrument's.
 
     Returns:
         ``(n, 6)``: rotation vector and difference of positions, radians and metres, in the camera's frame.
     """
     expected = transform @ arm
-    rotation = nearer_twin(tracked[:, :3, :3], expected[:, :3, :3])
+    rotation = nearest_alike(tracked[:, :3, :3], expected[:, :3, :3], symmetry)
     turned = rotation_vector(rotation @ np.swapaxes(expected[:, :3, :3], 1, 2))
     return np.hstack([turned, tracked[:, :3, 3] - expected[:, :3, 3]])
 
 
-def nearer_twin(rotation: FloatArray, expected: FloatArray) -> FloatArray:
-    """``(n, 3, 3)`` rotations, each turned by half a turn about its own z axis where that is nearer to the expected."""
+def nearest_alike(rotation: FloatArray, expected: FloatArray, symmetry: Symmetry = "twin") -> FloatArray:
+    """``(n, 3, 3)`` rotations, each turned about its own z axis as the symmetry allows to be nearest to the expected.
+
+    By half a turn or not at all (``twin``), not at all (``none``), or by any angle (``axis``).
+    """
+    if symmetry == "none":
+        return rotation
+    if symmetry == "axis":
+        between = np.swapaxes(expected, 1, 2) @ rotation
+        turn = np.arctan2(between[:, 0, 1] - between[:, 1, 0], between[:, 0, 0] + between[:, 1, 1])
+        about = np.zeros((len(turn), 3))
+        about[:, 2] = turn
+        return np.asarray(rotation @ rotation_from_vector(about))
     along = (rotation[:, :, :2] * expected[:, :, :2]).sum(axis=(1, 2))
     sign = np.where(along < 0, -1.0, 1.0)
     return np.asarray(rotation * np.stack([sign, sign, np.ones_like(sign)], axis=1)[:, None, :])
@@ -86,12 +99,16 @@ def closed_form(tracked: FloatArray, arm: FloatArray, weights: FloatArray) -> Fl
     return rigid_transform(rotation, middle_cam - rotation @ middle_base)
 
 
-def costs(transforms: FloatArray, tracked: FloatArray, arm: FloatArray, scales: Scales) -> FloatArray:
+def costs(
+    transforms: FloatArray, tracked: FloatArray, arm: FloatArray, scales: Scales, symmetry: Symmetry = "twin"
+) -> FloatArray:
     """What transforms ``(..., 4, 4)`` leave, ``(...)``, mean ``log(1 + (angle/s_r)²) + log(1 + (distance/s_t)²)``."""
-    return np.asarray(np.log1p(_relative_squares(transforms, tracked, arm, scales)).sum(axis=-1).mean(axis=-1))
+    return np.asarray(
+        np.log1p(_relative_squares(transforms, tracked, arm, scales, symmetry)).sum(axis=-1).mean(axis=-1)
+    )
 
 
-def robust_fit(tracked: FloatArray, arm: FloatArray, scales: Scales) -> FloatArray:
+def robust_fit(tracked: FloatArray, arm: FloatArray, scales: Scales, symmetry: Symmetry = "twin") -> FloatArray:
     """The transform that most frames agree on: iteratively reweighted, with Cauchy's weights.
 
     It begins at that frame's own transform, of some spread over the series, which costs least.
@@ -100,6 +117,7 @@ def robust_fit(tracked: FloatArray, arm: FloatArray, scales: Scales) -> FloatArr
         tracked: ``(n, 4, 4)`` T_cam_wrist.
         arm: ``(n, 4, 4)`` T_base_wrist.
         scales: Beyond which a frame counts less and less.
+        symmetry: The instrument's.
 
     Returns:
         ``(4, 4)`` T_cam_base.
@@ -107,11 +125,11 @@ def robust_fit(tracked: FloatArray, arm: FloatArray, scales: Scales) -> FloatArr
     some = np.unique(np.linspace(0, len(arm) - 1, STARTS).round().astype(int))
     back = inverse_transform(arm[some])
     starts = np.concatenate([tracked[some] @ back, tracked[some] @ HALF_TURN @ back])
-    transform = starts[np.argmin(costs(starts, tracked, arm, scales))]
+    transform = starts[np.argmin(costs(starts, tracked, arm, scales, symmetry))]
     for _ in range(ROUNDS):
-        weights = 1.0 / (1.0 + _relative_squares(transform, tracked, arm, scales))
+        weights = 1.0 / (1.0 + _relative_squares(transform, tracked, arm, scales, symmetry))
         right = tracked.copy()
-        right[:, :3, :3] = nearer_twin(tracked[:, :3, :3], transform[:3, :3] @ arm[:, :3, :3])
+        right[:, :3, :3] = nearest_alike(tracked[:, :3, :3], transform[:3, :3] @ arm[:, :3, :3], symmetry)
         transform = closed_form(right, arm, weights / np.square(scales))
     return np.asarray(transform)
 
@@ -125,11 +143,19 @@ def spread(off: FloatArray) -> Scales:
     )
 
 
-def _relative_squares(transforms: FloatArray, tracked: FloatArray, arm: FloatArray, scales: Scales) -> FloatArray:
-    """``(..., n, 2)`` squared angles (by their chord) and distances of the nearer twin, in units of their scales."""
+def _relative_squares(
+    transforms: FloatArray, tracked: FloatArray, arm: FloatArray, scales: Scales, symmetry: Symmetry
+) -> FloatArray:
+    """``(..., n, 2)`` squared angles (by their chord) and distances of the nearest alike, in units of their scales."""
     expected = transforms[..., None, :3, :] @ arm
     along = (expected[..., :3] * tracked[:, :3, :3]).sum(axis=-2)
-    # The trace of the rotation between the two, that of the nearer twin; of small angles 3 - trace is the square.
-    trace = np.abs(along[..., 0] + along[..., 1]) + along[..., 2]
+    # The trace of the rotation between the two, that of the nearest alike; of small angles 3 - trace is the square.
+    level = along[..., 0] + along[..., 1]
+    if symmetry == "twin":
+        level = np.abs(level)
+    elif symmetry == "axis":
+        across = expected[..., 0] * tracked[:, :3, 1] - expected[..., 1] * tracked[:, :3, 0]
+        level = np.hypot(level, across.sum(axis=-1))
+    trace = level + along[..., 2]
     squares = np.stack([3.0 - trace, ((expected[..., 3] - tracked[:, :3, 3]) ** 2).sum(axis=-1)], axis=-1)
     return np.asarray(np.maximum(squares, 0.0) / np.square(scales))

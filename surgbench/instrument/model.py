@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from surgbench.geometry import FloatArray, look_at_rotation
 from surgbench.instrument.observability import observable
 from surgbench.instrument.spec import JOINT_NAMES, InstrumentSpec, LinkPoint, Quantity
-from surgbench.state import ANGLES, BETA, JOINTS, POSITION, STATE_SIZE, JointLimits
+from surgbench.state import ANGLES, BETA, JOINTS, POSITION, STATE_SIZE, JointLimits, Symmetry
 
 
 @dataclass(frozen=True)
@@ -79,6 +79,27 @@ class Instrument:
         seen[BETA] = "roll" in self.observable
         seen[JOINTS] = [name in self.observable for name in JOINT_NAMES]
         return seen
+
+    @cached_property
+    def symmetry(self) -> Symmetry:
+        """What turns it into one that looks the same: as its file says; else ``twin``, or ``axis`` if no roll is seen.
+
+        ``twin``: half a turn about the shaft with both wrist joints reversed (:func:`surgbench.state.twin`); ``axis``:
+        any turn about the shaft; ``none``.
+        """
+        if self.spec.symmetry is not None:
+            return self.spec.symmetry
+        return "twin" if "roll" in self.observable else "axis"
+
+    @cached_property
+    def tips(self) -> tuple[LinkPoint, LinkPoint]:
+        """The two tips; of a tool with one, that one twice."""
+        return self.spec.tips[0], self.spec.tips[-1]
+
+    @property
+    def has_two_tips(self) -> bool:
+        """Whether its tips are two; else both of :attr:`tips` are the same point."""
+        return len(self.spec.tips) == 2
 
     @cached_property
     def without_shaft(self) -> Instrument:
@@ -188,7 +209,7 @@ class Instrument:
         return np.stack(placed, axis=-2)
 
     def tips_cam(self, states: FloatArray) -> FloatArray:
-        """The two jaw tips (keypoints of eq. 8) in the camera frame, ``(..., 2, 3)`` metres.
+        """The two tips of :attr:`tips` (keypoints of eq. 8) in the camera frame, ``(..., 2, 3)`` metres.
 
         Example:
             Straight ahead, jaws closed, then opened by 30 degrees each; they open along y:
@@ -204,7 +225,7 @@ class Instrument:
                    [[  4.8, 146.7],
                     [ -4.8, 146.7]]])
         """
-        return self.points_cam(states, self.spec.tips)
+        return self.points_cam(states, self.tips)
 
     def skeleton_cam(self, states: FloatArray) -> FloatArray:
         """End points of the bones drawn in overlays, ``(..., B, 2, 3)`` metres."""

@@ -9,6 +9,7 @@ import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from surgbench.config import Finite, Section
+from surgbench.state import Symmetry
 
 Range = tuple[Finite, Finite]
 Vector3 = tuple[Finite, Finite, Finite]
@@ -160,6 +161,8 @@ class InstrumentSpec(Section):
     Attributes:
         observable: What can be seen of its state besides where it is and points; errors of anything else are not
             scored. ``None``: the joints that move a body or a tip, and the roll unless the body is round.
+        symmetry: What makes it look the same. ``None``: ``axis`` where the roll cannot be seen, else ``twin``.
+        tips: The keypoints of its jaws; one of a tool that has no jaws, which then stands for both.
         markers: Painted on it, each of a colour of its own.
     """
 
@@ -169,9 +172,10 @@ class InstrumentSpec(Section):
     sources: tuple[str, ...] = ()
     joints: dict[JointName, Joint]
     links: Annotated[tuple[Link, ...], Field(min_length=1)]
-    tips: tuple[LinkPoint, LinkPoint]
+    tips: Annotated[tuple[LinkPoint, ...], Field(min_length=1, max_length=2)]
     skeleton: tuple[tuple[LinkPoint, LinkPoint], ...] = ()
     observable: tuple[Quantity, ...] | None = None
+    symmetry: Symmetry | None = None
     markers: tuple[Marker, ...] = ()
 
     @model_validator(mode="after")

@@ -55,7 +55,7 @@ class KeypointProjector:
     ) -> None:
         self.instruments = tuple(instruments)
         self.camera = camera
-        self.points = tuple(tuple(one) for one in points or [each.spec.tips for each in instruments])
+        self.points = tuple(tuple(one) for one in points or [each.tips for each in instruments])
         if len({len(one) for one in self.points}) != 1 or len(self.points) != len(self.instruments):
             raise ValueError(f"as many points of every arm, not {[len(one) for one in self.points]}")
         self._arms = len(instruments)

@@ -17,7 +17,7 @@ from surgbench.geometry import (
     rotation_from_vector,
 )
 from surgbench.handeye import ReadingTrack, TooLittleMotionError, estimate_hand_eye
-from surgbench.handeye.fit import NOMINAL, closed_form, nearer_twin, robust_fit
+from surgbench.handeye.fit import NOMINAL, closed_form, nearest_alike, robust_fit
 from surgbench.instrument.arm import CLASSIC_400006
 
 DT_S = 1 / 30
@@ -179,7 +179,7 @@ def test_the_closed_form_is_exact_and_the_robust_one_too(turn: FloatArray, place
     tracked[::3] @= HALF_TURN
     tracked[1::5, :3, 3] += 0.1
     np.testing.assert_allclose(robust_fit(tracked, poses, NOMINAL), true, atol=1e-3)
-    again = nearer_twin(tracked[:, :3, :3], (true @ poses)[:, :3, :3])
+    again = nearest_alike(tracked[:, :3, :3], (true @ poses)[:, :3, :3])
     np.testing.assert_allclose(again, (true @ poses)[:, :3, :3], atol=1e-12)
 
 

@@ -18,7 +18,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 from scipy.spatial.transform import Rotation
-from small_dataset import CAMERA, DRIVER, DT_S, FRAMES, make_pair, states_of
+from small_dataset import CAMERA, DRIVER, DT_S, FRAMES, list_anew, make_pair, states_of
 
 from surgbench.dataset.open import open_as
 from surgbench.dataset.validate import validate
@@ -278,6 +278,23 @@ def test_the_twin_of_bop_is_a_second_set_of_poses_that_swaps_the_jaws(
     assert (own["sequence"], own["arm"]) == ("000", "left")
     np.testing.assert_allclose(own["state"], states_of("left")[1])
     np.testing.assert_allclose(turned["state"], twin(states_of("left")[1]))
+
+
+@pytest.mark.parametrize("symmetry", ["none", "axis"])
+def test_bop_has_no_twin_of_an_instrument_without_one(symmetry: str, tmp_path: Path) -> None:
+    root = make_pair(tmp_path / "pairs").path
+    path = root / "instruments" / DRIVER / "instrument.yaml"
+    path.write_text(path.read_text() + f"symmetry: {symmetry}\n")
+    list_anew(root)
+    out = export(root, "bop", tmp_path / "out")
+    assert not list(out.rglob("*_twin.json"))
+    infos, links = load(out / "models" / "models_info.json"), load(out / "models" / "objects.json")
+    for number, about in links.items():
+        turns = infos[number].get("symmetries_continuous", [])
+        # BOP's turns are about a point of the model's frame: the shaft's axis in the link's.
+        assert [turn["axis"] for turn in turns] == ([[0, 0, 1]] if symmetry == "axis" else [])
+        for turn in turns:
+            np.testing.assert_allclose(np.add(turn["offset"], about["link_from_model_mm"]), 0.0, atol=1e-9)
 
 
 def test_bop_results_have_a_line_for_every_link_and_one_time_per_image(runs: Path, tmp_path: Path) -> None:

@@ -2,7 +2,8 @@
 
 Seven coordinates are searched (four with readings): distance, tilt, both rolls, and the joints. Where the wrist is in
 the image is no coordinate: each hypothesis is placed over the mask, and its pose refined a little, joints fixed, before
-its loss counts. Of a state and its 180-degree twin only the one with a negative wrist pitch is searched.
+its loss counts. Of a state and its 180-degree twin, where the instrument has one, only that with a negative wrist
+pitch is searched.
 """
 
 from __future__ import annotations
@@ -130,7 +131,8 @@ class _Settler:
         self._space = StateSpace(scene.limits[0], STATE_SCALE)
         limits = scene.limits[0]
         lower, upper = limits.lower_rad.copy(), limits.upper_rad.copy()
-        if np.allclose(lower[:2], -upper[:2]):  # of a state and its 180-degree twin one has a negative wrist pitch
+        # Of a state and its 180-degree twin one has a negative wrist pitch.
+        if scene.instruments[0].symmetry == "twin" and np.allclose(lower[:2], -upper[:2]):
             upper[0] = 0.0
         low = [config.distance_m[0], np.deg2rad(config.elevation_deg[0]), 0.0, 0.0]
         high = [config.distance_m[1], np.deg2rad(config.elevation_deg[1]), 2 * np.pi, 2 * np.pi]

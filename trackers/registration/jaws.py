@@ -32,8 +32,8 @@ class JawJudge:
     def __init__(self, instruments: Sequence[Instrument], camera: Camera) -> None:
         self._instruments = tuple(instruments)
         self._camera = camera
-        self._links = [[one.link_index[tip.link] for tip in one.spec.tips] for one in instruments]
-        self._tips_m = [np.array([tip.point_m for tip in one.spec.tips]) for one in instruments]
+        self._links = [[one.link_index[tip.link] for tip in one.tips] for one in instruments]
+        self._tips_m = [np.array([tip.point_m for tip in one.tips]) for one in instruments]
 
     def __call__(self, state: FloatArray, missed_px: FloatArray, length_px: FloatArray, missed: MissedEdge) -> float:
         """Share of the jaws' contour that is unexplained, of the arm of which it is most.

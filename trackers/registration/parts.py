@@ -27,8 +27,8 @@ class Parts:
         self._wrist: Mask = np.ones(self.shape, dtype=bool)
         self._wrist[:, 0] = False
         for row, one in zip(self._wrist, instruments, strict=True):
-            row[[one.link_index[tip.link] for tip in one.spec.tips]] = False
-        self._jaws = [[one.link_index[tip.link] for tip in one.spec.tips] for one in instruments]
+            row[[one.link_index[tip.link] for tip in one.tips]] = False
+        self._jaws = [[one.link_index[tip.link] for tip in one.tips] for one in instruments]
 
     def on_wrist(self, contour: ContourPoints) -> Mask:
         """``(K,)`` which of K points lie on a wrist."""

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from enum import IntEnum
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from surgbench.camera import Camera
 from surgbench.contract import Mask
 from surgbench.geometry import FloatArray, look_at_rotation, wrap_angle
+from surgbench.instrument import Instrument
 from surgbench.state import ANGLES, BETA, JOINTS, POSITION, STATE_SIZE, JointLimits, split_arms
 
 # Spread of what is not drawn anew.
 NEAR = np.array([0.01, 0.15, 0.01, 2e-4, 2e-4, 1e-3, 0.1, 0.1, 0.1])
-WIDEST_ROLL_RAD = 1.6  # beyond a quarter turn the twin is nearer
+WIDEST_ROLL_RAD = 1.6  # beyond a quarter turn the twin is nearer, of instruments that have one
 WIDEST_JAW_RAD = 1.0
 FARTHEST_M = 0.05  # along the shaft
 NEARBY_M = 0.004  # likewise, standard deviation
@@ -42,8 +44,18 @@ MOVES = (Move.TURN, Move.JAW, Move.TURN, Move.JOINTS, Move.JAW, Move.BOTH, Move.
 MOVES_WITH_READINGS = (Move.TURN, Move.TURN, Move.NEAR)
 
 
+def widest_rolls(instruments: Sequence[Instrument]) -> FloatArray:
+    """``(arms,)``: how far about the shaft to look for each; all around it where no twin looks the same."""
+    return np.array([np.pi if one.symmetry == "none" else WIDEST_ROLL_RAD for one in instruments])
+
+
 def propose(
-    states: FloatArray, count: int, limits: JointLimits, known_joints: bool, rng: np.random.Generator
+    states: FloatArray,
+    count: int,
+    limits: JointLimits,
+    known_joints: bool,
+    rng: np.random.Generator,
+    widest_roll_rad: ArrayLike = WIDEST_ROLL_RAD,
 ) -> tuple[FloatArray, NDArray[np.intp]]:
     """Draw states around some that are thought of.
 
@@ -53,6 +65,7 @@ def propose(
         limits: Of the joints, per arm.
         known_joints: Joints are known from readings: they are not drawn anew.
         rng: The only source of randomness.
+        widest_roll_rad: How far to turn about the shaft; one number, or ``(arms,)`` (:func:`widest_rolls`).
 
     Returns:
         ``(count, 9 * arms)`` states, with two arms one of them changed in each; and ``(count,)`` their :class:`Move`.
@@ -66,7 +79,7 @@ def propose(
     widest = np.minimum(upper, [np.inf, np.inf, WIDEST_JAW_RAD])
     near = (moves == Move.NEAR) | (moves == Move.JAW)
     one[near] += rng.normal(0.0, 1.0, (int(near.sum()), STATE_SIZE)) * NEAR
-    rolled = WIDEST_ROLL_RAD * rng.uniform(-1.0, 1.0, count)
+    rolled = np.broadcast_to(widest_roll_rad, arms.shape[1])[arm] * rng.uniform(-1.0, 1.0, count)
     one[:, BETA] += np.where((moves == Move.TURN) | (moves == Move.BOTH), rolled, 0.0)
     anew = (moves == Move.JOINTS) | (moves == Move.BOTH)
     one[anew, JOINTS] = rng.uniform(lower, widest)[anew]
@@ -111,13 +124,16 @@ def sweep_jaws(states: FloatArray, limits: JointLimits) -> FloatArray:
     return np.concatenate(swept)
 
 
-def slide(states: FloatArray, count: int, rng: np.random.Generator) -> FloatArray:
+def slide(
+    states: FloatArray, count: int, rng: np.random.Generator, widest_roll_rad: float = WIDEST_ROLL_RAD
+) -> FloatArray:
     """States that have moved along their shafts and turned about them, which is what a shaft tells nothing of.
 
     Args:
         states: ``(m, 9)`` of one arm.
         count: How many to draw.
         rng: The only source of randomness.
+        widest_roll_rad: How far to turn.
 
     Returns:
         ``(count, 9)``.
@@ -125,11 +141,17 @@ def slide(states: FloatArray, count: int, rng: np.random.Generator) -> FloatArra
     slid: FloatArray = np.resize(states, (count, STATE_SIZE))
     ways = rng.uniform(-FARTHEST_M, FARTHEST_M, count)
     slid[:, POSITION] += ways[:, None] * look_at_rotation(slid[:, ANGLES])[..., 2]
-    slid[:, BETA] += WIDEST_ROLL_RAD * rng.uniform(-1.0, 1.0, count)
+    slid[:, BETA] += widest_roll_rad * rng.uniform(-1.0, 1.0, count)
     return slid
 
 
-def anew(states: FloatArray, count: int, limits: JointLimits, rng: np.random.Generator) -> FloatArray:
+def anew(
+    states: FloatArray,
+    count: int,
+    limits: JointLimits,
+    rng: np.random.Generator,
+    widest_roll_rad: float = WIDEST_ROLL_RAD,
+) -> FloatArray:
     """States with the shaft all but where it is, of which roll and joints are not known any more.
 
     Args:
@@ -137,13 +159,14 @@ def anew(states: FloatArray, count: int, limits: JointLimits, rng: np.random.Gen
         count: How many to draw.
         limits: Of the joints.
         rng: The only source of randomness.
+        widest_roll_rad: How far to turn.
 
     Returns:
         ``(count, 9)``.
     """
     drawn: FloatArray = np.resize(states, (count, STATE_SIZE))
     drawn[:, POSITION] += NEARBY_M * rng.standard_normal((count, 1)) * look_at_rotation(drawn[:, ANGLES])[..., 2]
-    drawn[:, BETA] += WIDEST_ROLL_RAD * rng.uniform(-1.0, 1.0, count)
+    drawn[:, BETA] += widest_roll_rad * rng.uniform(-1.0, 1.0, count)
     lower, upper = limits.lower_rad[0], limits.upper_rad[0]
     drawn[:, JOINTS] = rng.uniform(lower, np.minimum(upper, [np.inf, np.inf, WIDEST_JAW_RAD]), (count, len(lower)))
     return drawn

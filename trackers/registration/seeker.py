@@ -19,7 +19,16 @@ from surgbench.trackers.registration.follower import ARRIVING, DRAWN, HIDDEN_M, 
 from surgbench.trackers.registration.hypothesis import SAME, Hypothesis
 from surgbench.trackers.registration.options import HybridOptions
 from surgbench.trackers.registration.part import PartView
-from surgbench.trackers.registration.proposals import Move, anew, best_of_each, jump_cost, propose, slide, sweep_jaws
+from surgbench.trackers.registration.proposals import (
+    Move,
+    anew,
+    best_of_each,
+    jump_cost,
+    propose,
+    slide,
+    sweep_jaws,
+    widest_rolls,
+)
 from surgbench.trackers.registration.screen import missing_piece
 
 # What may have changed while nothing was seen, once it is put where the mask is.
@@ -179,7 +188,8 @@ class Seeker(Follower):
         """States around ``(m, 9)`` others, scored and evolved; the best of each kind, ``(k, 9)``."""
         options, scene = self.options, self.scene
         known = observation.joints is not None
-        states, moves = propose(centres, options.samples, scene.joint_limits, known, self._rng)
+        rolls = widest_rolls(scene.instruments)
+        states, moves = propose(centres, options.samples, scene.joint_limits, known, self._rng, rolls)
         if not known:
             swept = sweep_jaws(centres, scene.joint_limits)
             states = np.concatenate([states, swept])
@@ -187,11 +197,11 @@ class Seeker(Follower):
         if self._part and self.hypotheses and (self.hypotheses[0].off_m > HIDDEN_M or self._unfit > 1):
             more = [
                 self.hypotheses[0].belief.draw(BELIEVED, self._rng),
-                slide(centres, SLID, self._rng),
+                slide(centres, SLID, self._rng, rolls[0]),
             ]
             kinds = [Move.BELIEVED, Move.SLIDE]
             if not known and self._unfit > 1 and (self._unfit <= OFTEN or self._unfit % OFTEN == 0):
-                more.append(anew(centres, ANEW, scene.joint_limits, self._rng))
+                more.append(anew(centres, ANEW, scene.joint_limits, self._rng, rolls[0]))
                 kinds.append(Move.ANEW)
             states = np.concatenate([states, clip_joints(np.concatenate(more), scene.joint_limits)])
             moves = np.append(moves, np.repeat(kinds, [len(some) for some in more]))

@@ -44,9 +44,9 @@ class Shape:
 
     def __init__(self, instruments: Sequence[Instrument]) -> None:
         self._instruments = tuple(instruments)
-        self._jaws = [[one.link_index[tip.link] for tip in one.spec.tips] for one in instruments]
+        self._jaws = [[one.link_index[tip.link] for tip in one.tips] for one in instruments]
         self._links = np.array(self._jaws)
-        self._tips_m = [np.array([tip.point_m for tip in one.spec.tips]) for one in instruments]
+        self._tips_m = [np.array([tip.point_m for tip in one.tips]) for one in instruments]
         self.scale: FloatArray = np.concatenate([*[OF_ARM] * len(instruments), OF_CAMERA])
 
     def jacobian(self, contour: ContourPoints, state: FloatArray, camera: Camera, *, reference: bool) -> FloatArray:

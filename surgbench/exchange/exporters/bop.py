@@ -2,7 +2,8 @@
 
 An instrument has joints and BOP's objects have none, so that each of its links is an object, and the joints stand
 beside (``scene_joints.json``). The 180-degree twin is not a symmetry of any object: it turns the shaft, moves the
-joints and puts each jaw where the other one was. It is a second set of poses, ``scene_gt_twin.json``.
+joints and puts each jaw where the other one was. It is a second set of poses, ``scene_gt_twin.json``, of instruments
+that have a twin. A tube's turn about its axis is a continuous symmetry of its models.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ Made by surgbench from the dataset {sha256}.
   (radians, metres) that all poses of its links follow from.
 - `scene_gt_twin.json`, `scene_joints_twin.json`: the state turned by 180 degrees about the shaft with q1 and q2
   reversed, whose silhouette is nearly the same. It is a second set of poses, not a symmetry: joints differ, and each
-  jaw is where the other one was.
+  jaw is where the other one was. Instruments without a twin stand in it as they are; where none has one it is left out.
 - `mask`: silhouette of a link as if it were alone; `mask_visib`: what no other link hides, of any arm.
 - `{pictures}`: {what}.
 """
@@ -126,8 +127,10 @@ def _write_scene(
         progress(len(tracks))
     _write_json(folder / "scene_camera.json", cameras)
     _write_json(folder / "scene_gt_info.json", infos)
-    for ending, change in (("", lambda states: states), ("_twin", twin)):
-        poses = [instance.object.poses(change(instance.track.states)) for instance in instances]
+    for ending, change in (("", _own), ("_twin", _turned)):
+        if ending and not any(track.instrument.symmetry == "twin" for track in tracks):
+            continue
+        poses = [instance.object.poses(change(instance.track)) for instance in instances]
         _write_json(
             folder / f"scene_gt{ending}.json",
             {
@@ -137,7 +140,7 @@ def _write_scene(
         )
         joints = {
             str(frame): [
-                {"sequence": track.sequence, "arm": track.arm, "state": change(track.states)[frame].tolist()}
+                {"sequence": track.sequence, "arm": track.arm, "state": change(track)[frame].tolist()}
                 for track in tracks
             ]
             for frame in range(sequence.frames)
@@ -151,6 +154,15 @@ def _write_scene(
         for obj_id, count in counts.items()
         if count
     ]
+
+
+def _own(track: Track) -> FloatArray:
+    return track.states
+
+
+def _turned(track: Track) -> FloatArray:
+    """States of the twins, of an instrument that has them."""
+    return twin(track.states) if track.instrument.symmetry == "twin" else track.states
 
 
 def _pose(one: BopObject, T_cam_model_mm: FloatArray) -> dict[str, Any]:

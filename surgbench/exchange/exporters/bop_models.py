@@ -55,13 +55,16 @@ class BopObject:
         poses[:, :3, 3] = MM * (poses[:, :3, 3] + poses[:, :3, :3] @ self.centre_m)
         return poses
 
-    def info(self) -> dict[str, float]:
-        """Bounding box and diameter, the largest distance of two vertices, millimetres."""
+    def info(self) -> dict[str, Any]:
+        """Bounding box and diameter, the largest distance of two vertices, millimetres; the symmetry of a tube."""
         low, high = self.vertices_mm.min(axis=0), self.vertices_mm.max(axis=0)
         corners = self.vertices_mm[ConvexHull(self.vertices_mm).vertices]  # the two lie on the hull
         box = {f"min_{axis}": float(value) for axis, value in zip("xyz", low, strict=True)}
         box |= {f"size_{axis}": float(value) for axis, value in zip("xyz", high - low, strict=True)}
-        return {"diameter": float(pdist(corners).max()), **box}
+        info: dict[str, Any] = {"diameter": float(pdist(corners).max()), **box}
+        if self.instrument.symmetry == "axis":
+            info["symmetries_continuous"] = [{"axis": [0, 0, 1], "offset": (-MM * self.centre_m).tolist()}]
+        return info
 
     def about(self) -> dict[str, Any]:
         """What BOP has no field for."""

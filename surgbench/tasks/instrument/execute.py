@@ -273,9 +273,16 @@ def _errors(
         places = np.where(away[..., None], np.nan, states[..., POSITION])
         scaled = [metrics.translation_error_scaled(places[:, arm], truth[:, arm, POSITION]) for arm in range(shape[1])]
         errors["translation_error_scaled_m"] = _finite(np.array(scaled))
-        observed = np.stack([instrument.observed for instrument in data.instruments])
-        coverages = metrics.interval_coverages(states, _deviations(answers, shape), truth, observed)
-        errors |= {name: _finite(np.where(away, np.nan, values)) for name, values in coverages.items()}
+        deviations = _deviations(answers, shape)
+        covered = [
+            metrics.interval_coverages(
+                states[:, arm], deviations[:, arm], truth[:, arm], instrument.observed, instrument.symmetry
+            )
+            for arm, instrument in enumerate(data.instruments)
+        ]
+        for name in metrics.INTERVAL_COVERAGES:
+            values = np.stack([arm[name] for arm in covered], axis=1)
+            errors[name] = _finite(np.where(away, np.nan, values))
     else:
         errors |= {name: _finite(values) for name, values in reference_errors(data, states, away).items()}
     for name, share in (("lost_precision", metrics.lost_precision), ("lost_recall", metrics.lost_recall)):
@@ -317,7 +324,9 @@ def _judged(
     """What a recording without truth has instead; see :func:`surgbench.tasks.instrument.judge.judged_columns`."""
     states = _states(data, answers)
     counts = frames_that_count((answer.lost for answer in answers), (seen for seen, _ in mask_errors))
-    return judged_columns(data.sequence, data.unit.arms, states, counts, settings.readings, settings.references)
+    return judged_columns(
+        data.sequence, data.unit.arms, data.instruments, states, counts, settings.readings, settings.references
+    )
 
 
 def out_of_view(data: UnitData, frames: int, shares: Sequence[float] = ()) -> NDArray[np.bool_]:

@@ -17,7 +17,7 @@ from surgbench.records.reader import read_record
 from surgbench.report.figures import check_matplotlib
 from surgbench.reproduce.results import RECORDS, BlockWork
 from surgbench.reproduce.table import Picture, Table
-from surgbench.state import ANGLES, STATE_SIZE
+from surgbench.state import ANGLES, STATE_SIZE, Symmetry
 from surgbench.tasks.instrument.dataset import InstrumentDataset
 from surgbench.tasks.instrument.records import InstrumentRecord
 
@@ -108,6 +108,7 @@ def _figure(dataset: InstrumentDataset, wanted: Picture, lines: list[Line]) -> F
     truth = sequence.states("left" if arm == "left" else "right")
     assert truth is not None
     frames = max(len(line.record.frames.state) for line in lines)
+    symmetry = dataset.instrument(sequence.entry.instruments[arm]).symmetry
     truth, time = truth[:frames].copy(), sequence.timestamps_s[:frames]
     truth[:, ANGLES] = np.unwrap(truth[:, ANGLES], axis=0)
 
@@ -117,7 +118,7 @@ def _figure(dataset: InstrumentDataset, wanted: Picture, lines: list[Line]) -> F
     for place, (name, component, scale) in enumerate(PANELS):
         panel: Axes = axes[place // 3, place % 3]
         for colour, line in zip(COLOURS, lines, strict=False):
-            states = _near(line.record.frames.states[:, :STATE_SIZE], truth)
+            states = _near(line.record.frames.states[:, :STATE_SIZE], truth, symmetry)
             panel.plot(time[: len(states)], scale * states[:, component], color=colour, label=line.label, lw=1.1)
         panel.plot(time, scale * truth[:, component], color=TRUTH_COLOUR, label="ground truth", lw=1.6, ls=(0, (4, 2)))
         panel.set_ylim(*_range(scale * truth[:, component], scale))
@@ -149,10 +150,10 @@ def _figure(dataset: InstrumentDataset, wanted: Picture, lines: list[Line]) -> F
     return figure
 
 
-def _near(states: FloatArray, truth: FloatArray) -> FloatArray:
+def _near(states: FloatArray, truth: FloatArray, symmetry: Symmetry) -> FloatArray:
     """States after the twin rule, their angles within half a turn of the truth's."""
     truth = truth[: len(states)]
-    chosen = choose_twin(states, truth)
+    chosen = choose_twin(states, truth, symmetry)
     chosen[:, ANGLES] = truth[:, ANGLES] + wrap_angle(chosen[:, ANGLES] - truth[:, ANGLES])
     return chosen
 

@@ -120,7 +120,9 @@ def _judge_run(record: InstrumentRecord, dataset: InstrumentDataset) -> list[Jud
             note = f"{spec.row_id}, {spec.unit}: {GIVEN}"
         else:
             try:
-                estimate = judge(sequence, arm, states[:, index], counts)
+                estimate = judge(
+                    sequence, arm, dataset.instrument(sequence.entry.instruments[arm]), states[:, index], counts
+                )
             except TooLittleMotionError as error:
                 note = str(error)
         found.append(Judged(spec.row_id, spec.unit, arm, spec.repeat, sequence.dt_s, estimate, note))

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from surgbench.errors import DatasetError, SurgbenchError
 from surgbench.geometry import FloatArray, look_at_rotation, rigid_transform
 from surgbench.handeye import HandEye, TooLittleMotionError, estimate_hand_eye
+from surgbench.instrument import Instrument
 from surgbench.registry import find
 from surgbench.sources import own_modules
 from surgbench.state import ANGLES, POSITION
@@ -26,12 +27,15 @@ from surgbench.tasks.instrument.records import JUDGED
 KINEMATICS = "kinematics"
 
 
-def judge(sequence: Sequence, arm: Arm, states: FloatArray, counts: NDArray[np.bool_]) -> HandEye:
+def judge(
+    sequence: Sequence, arm: Arm, instrument: Instrument, states: FloatArray, counts: NDArray[np.bool_]
+) -> HandEye:
     """Hold one arm's estimates against the robot's readings of it.
 
     Args:
         sequence: What was tracked.
         arm: Which arm.
+        instrument: What it holds.
         states: ``(n, 9)`` estimates of the first n frames.
         counts: ``(n,)`` which of them to learn hand-eye transform and lag from.
 
@@ -50,7 +54,9 @@ def judge(sequence: Sequence, arm: Arm, states: FloatArray, counts: NDArray[np.b
     learnt = np.zeros(sequence.frames, dtype=bool)
     learnt[: len(states)] = counts
     try:
-        return estimate_hand_eye(sequence.timestamps_s, tracked, readings, sequence.dt_s, learnt)
+        return estimate_hand_eye(
+            sequence.timestamps_s, tracked, readings, sequence.dt_s, learnt, symmetry=instrument.symmetry
+        )
     except TooLittleMotionError as error:
         raise TooLittleMotionError(f"{sequence.root}: sequence '{sequence.id}', {arm} arm: {error}") from None
 
@@ -58,6 +64,7 @@ def judge(sequence: Sequence, arm: Arm, states: FloatArray, counts: NDArray[np.b
 def judged_columns(
     sequence: Sequence,
     arms: tuple[Arm, ...],
+    instruments: tuple[Instrument, ...],
     states: FloatArray,
     counts: NDArray[np.bool_],
     readings: str,
@@ -68,6 +75,7 @@ def judged_columns(
     Args:
         sequence: What was tracked.
         arms: Of the states.
+        instruments: What they hold.
         states: ``(n, arms, 9)`` of the first n frames.
         counts: ``(n,)`` which frames to learn from.
         readings: Which the run was given.
@@ -80,9 +88,9 @@ def judged_columns(
     if sequence.entry.truth or not read or was_given(readings, references):
         return {}
     columns: dict[str, list[float | None]] = {name: [] for name in JUDGED}
-    for index, arm in enumerate(arms):
+    for index, (arm, instrument) in enumerate(zip(arms, instruments, strict=True)):
         try:
-            found = judge(sequence, arm, states[:, index], counts)
+            found = judge(sequence, arm, instrument, states[:, index], counts)
         except TooLittleMotionError:
             values: tuple[float | None, ...] = (None,) * len(JUDGED)
         else:

@@ -103,7 +103,8 @@ def exchanged_readings(data: UnitData, states: FloatArray, lost: NDArray[np.bool
         for place, (instrument, other) in enumerate(zip(data.instruments, order, strict=True)):
             own, read = ~lost[:, place], readings[other]
             joints = (states[own, place], read[: len(states)][own])
-            errors.append(reference_joint_errors(*joints, instrument.search_limits, instrument.observed)[:, :2].ravel())
+            told = (instrument.search_limits, instrument.observed, instrument.symmetry)
+            errors.append(reference_joint_errors(*joints, *told)[:, :2].ravel())
         known = np.concatenate(errors)
         known = known[np.isfinite(known)]
         return float(known.mean()) if known.size else 0.0

@@ -46,7 +46,13 @@ def reference_errors(data: UnitData, states: FloatArray, absent: NDArray[np.bool
     arms = list(zip(data.unit.arms, data.instruments, strict=True))
     if data.sequence.entry.keypoints:
         pairs = [
-            (data.camera.project(instrument.tips_cam(states[:, place])), data.sequence.keypoints(arm)[:frames])
+            tuple(
+                places[..., : len(instrument.spec.tips), :]
+                for places in (
+                    data.camera.project(instrument.tips_cam(states[:, place])),
+                    data.sequence.keypoints(arm)[:frames],
+                )
+            )
             for place, (arm, instrument) in enumerate(arms)
         ]
         for name, error in ((REFERENCE_TIPS, reference_tip_error), (REFERENCE_KEYPOINTS, metrics.keypoint_error)):
@@ -55,7 +61,9 @@ def reference_errors(data: UnitData, states: FloatArray, absent: NDArray[np.bool
     readings = [data.sequence.readings(arm) for arm in data.unit.arms]
     if all(one is not None for one in readings):
         joints = [
-            reference_joint_errors(states[:, place], one[:frames], instrument.search_limits, instrument.observed)
+            reference_joint_errors(
+                states[:, place], one[:frames], instrument.search_limits, instrument.observed, instrument.symmetry
+            )
             for place, ((_, instrument), one) in enumerate(zip(arms, readings, strict=True))
             if one is not None
         ]

@@ -59,7 +59,7 @@ class Track:
         """``(T, 2, 4, 4)`` T_cam_tip: the two tips, each turned as the link that it is fixed to."""
         transforms = self.instrument.link_transforms(self.states)
         places = self.instrument.tips_cam(self.states)
-        links = [self.instrument.link_index[tip.link] for tip in self.instrument.spec.tips]
+        links = [self.instrument.link_index[tip.link] for tip in self.instrument.tips]
         return rigid_transform(transforms[:, links, :3, :3], places)
 
 
