@@ -15,7 +15,7 @@ from surgbench.instrument.model import Instrument, LinkMesh
 from surgbench.instrument.parts_mesh import parts_mesh
 from surgbench.instrument.plausibility import check_instrument
 from surgbench.instrument.shapes import join_meshes, loft_mesh
-from surgbench.instrument.spec import InstrumentSpec, MeshFile
+from surgbench.instrument.spec import InstrumentSpec, Link, MeshFile
 
 INSTRUMENT_FILE = "instrument.yaml"
 
@@ -74,19 +74,31 @@ def _load_file(path: Path) -> Instrument:
     spec = parse_model(InstrumentSpec, read_yaml(path, "instrument"), str(path))
     meshes: dict[str, LinkMesh] = {}
     for link in spec.links:
-        if link.mesh is not None:
-            meshes[link.name] = load_mesh(link.mesh, path.parent, link.name)
-        elif link.shapes:
-            meshes[link.name] = join_meshes([loft_mesh(loft) for loft in link.shapes])
-        elif link.parts:
-            try:
-                meshes[link.name] = parts_mesh(link.parts)
-            except ValueError as error:
-                raise ConfigError(f"{path}: link '{link.name}': {error}") from None
+        mesh = link_body(link, path)
+        if mesh is not None:
+            meshes[link.name] = mesh
     if not meshes:
         raise ConfigError(f"{path}: 'links': no link has 'shapes', 'parts' or a 'mesh'")
     check_instrument(spec, meshes, path)
     return Instrument(spec, meshes)
+
+
+def link_body(link: Link, path: Path) -> LinkMesh | None:
+    """The body of one link of an instrument file, ``None`` where it has none.
+
+    Raises:
+        ConfigError: It is not closed, or its mesh cannot be read; the message names file and link.
+    """
+    if link.mesh is not None:
+        return load_mesh(link.mesh, path.parent, link.name)
+    if link.shapes:
+        return join_meshes([loft_mesh(loft) for loft in link.shapes])
+    if not link.parts:
+        return None
+    try:
+        return parts_mesh(link.parts)
+    except ValueError as error:
+        raise ConfigError(f"{path}: link '{link.name}': {error}") from None
 
 
 def _ply_bytes(mesh: LinkMesh) -> bytes:

@@ -170,8 +170,7 @@ class Model(Section):
         wrist_pitch_rad: What the robot's software allows.
         wrist_yaw_rad: Likewise.
         jaw_rad: Likewise, of the whole opening, twice the joint ``jaw``; below 0 the jaws are pressed together.
-        coupling: What the four drives (roll, wrist pitch, wrist yaw and jaw) make of the joints, four rows of four; a
-            tool without jaws has three.
+        coupling: Joints (roll, wrist pitch, wrist yaw, jaw) from the angles of the four drives, rows of the matrix.
     """
 
     number: str
