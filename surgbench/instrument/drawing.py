@@ -19,14 +19,14 @@ Picture = NDArray[np.uint8]
 # Rows: what is to the right, what is down, what is away from the eye; in the wrist-pitch frame.
 _X, _Y, _Z = np.eye(3)
 VIEWS: dict[str, FloatArray] = {
-    "along x: the jaws open": np.stack([_Z, _Y, -_X]),
-    "along y: the wrist pitches": np.stack([_Z, -_X, -_Y]),
+    "along x: yaw and jaws": np.stack([_Z, _Y, -_X]),
+    "along y: pitch": np.stack([_Z, -_X, -_Y]),
     "askew": np.stack([_Z, _Y, -_X])
     @ cv2.Rodrigues(np.array([0.0, 0.0, 0.55]))[0]
     @ cv2.Rodrigues(np.array([0.0, 0.75, 0.0]))[0].T,
     "from the tips": np.stack([_Y, -_X, -_Z]),
 }
-_OPEN_AS = {"wrist_pitch": "along y: the wrist pitches", "wrist_yaw": "along x: the jaws open"}
+_OPEN_AS = {"wrist_pitch": "along y: pitch", "wrist_yaw": "along x: yaw and jaws"}
 # How much of the shaft is drawn, back from the pitch axis.
 SHAFT_SHOWN_M = 0.018
 _PAPER, _INK, _GREY = (255, 255, 255), (33, 37, 41), (120, 126, 132)
@@ -168,12 +168,14 @@ def span(instrument: Instrument, joints: Sequence[float], view: FloatArray) -> t
 
 def draw_instrument(instrument: Instrument) -> Picture:
     """What ``surgbench instrument show`` writes: title, four views, and what each joint sweeps; RGB."""
-    width, head, row, sweep_row = 1500, 76, 300, 400
+    moves = any(name in instrument.observable for name in JOINT_NAMES)
+    width, head, row, sweep_row = 1500, 76, 300, 400 if moves else 0
     sheet = Sheet(width, head + 2 * row + sweep_row)
     sheet.text(instrument.spec.title, (24, 36), 0.85, bold=True)
     sheet.text(f"{instrument.name}   {summary(instrument)}", (24, 62), 0.5, faint=True)
     _draw_views(sheet, instrument, (0, head, width, 2 * row))
-    _draw_sweeps(sheet, instrument, (0, head + 2 * row, width, sweep_row))
+    if moves:
+        _draw_sweeps(sheet, instrument, (0, head + 2 * row, width, sweep_row))
     return sheet.pixels
 
 

@@ -20,11 +20,13 @@ from surgbench.instrument.measures import (
 )
 from surgbench.instrument.meshes import faces_inward
 from surgbench.instrument.model import Instrument, LinkMesh
-from surgbench.instrument.plausibility import distance_to_body, problems
+from surgbench.instrument.plausibility import exact_distance_to_body, problems
 from surgbench.instrument.spec import JOINT_NAMES, InstrumentSpec
 
 # More make trackers slow: each candidate's time grows with them.
 MANY_TRIANGLES = 1500
+# As near as a ruler tells.
+ON_BODY_M = 2e-4
 
 
 @dataclass
@@ -85,8 +87,8 @@ def _describe(instrument: Instrument, found: Inspection, path: Path) -> None:
         found.facts.append(("shaft", f"{1000 * shaft:.1f} mm across, {1000 * float(np.ptp(ends)):.0f} mm long"))
         if ends.min() + ends.max() > 0:
             found.wrong.append(
-                f"{path}: the body of link '{spec.links[0].name}' lies ahead of the pitch axis: z of its frame runs along "
-                "the shaft towards the jaws"
+                f"{path}: the body of link '{spec.links[0].name}' lies ahead of the pitch axis: z of its frame runs "
+                "along the shaft towards the jaws"
             )
     wrist = wrist_length_m(instrument)
     found.facts.append(("wrist", "none" if wrist is None else f"{1000 * wrist:.1f} mm from the pitch to the yaw axis"))
@@ -102,8 +104,8 @@ def _describe(instrument: Instrument, found: Inspection, path: Path) -> None:
         away = float(np.linalg.norm(tip.point_m))
         where = f"{1000 * away:.1f} mm from the origin of '{tip.link}'"
         if tip.link in meshes:
-            off = distance_to_body(meshes[tip.link], np.array(tip.point_m))
-            where += ", on its body" if off < 5e-4 else f", at most {1000 * off:.1f} mm off its body"
+            off = exact_distance_to_body(meshes[tip.link], np.array(tip.point_m))
+            where += ", on its body" if off < ON_BODY_M else f", {1000 * off:.1f} mm off its body"
         found.facts.append((f"tip {number}", where))
     for name in JOINT_NAMES:
         low, high = np.degrees(spec.joints[name].generate_rad)  # type: ignore[index]

@@ -281,8 +281,8 @@ class Jaw(Section):
             half = hole_half_width(hole, place)
             if half > 0 and self.measures(place).width_m / 2 - half < THINNEST_RAIL_M:
                 raise ValueError(
-                    f"{about} is {mm(2 * half)} wide where the jaw is {mm(self.measures(place).width_m)}, "
-                    f"{mm(place)} from the yaw axis: nothing is left beside it"
+                    f"{about} is {mm(hole.width_m)} wide, and the jaw only {mm(self.measures(place).width_m)} "
+                    f"at {mm(place)} from the yaw axis: nothing is left beside it"
                 )
 
     def places(self) -> tuple[float, ...]:

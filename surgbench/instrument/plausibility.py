@@ -135,6 +135,11 @@ def distance_to_body(mesh: LinkMesh, point: FloatArray) -> float:
     nearest = float(np.linalg.norm(mesh.vertices_m - point, axis=1).min())
     if nearest <= TIP_TOLERANCE_M:
         return nearest  # near enough as it is: no need of a library that takes long to load
+    return exact_distance_to_body(mesh, point)
+
+
+def exact_distance_to_body(mesh: LinkMesh, point: FloatArray) -> float:
+    """How far a point is from a closed body, metres; 0 inside. Takes longer than :func:`distance_to_body`."""
     import trimesh
     from trimesh.proximity import closest_point_naive
 
