@@ -9,6 +9,8 @@ import typer
 
 from surgbench.cli.completion import files
 
+# The command's name is this file's: it isn't the task of that name, which nothing here may know.
+INSTRUMENT = __name__.rpartition(".")[2]
 instrument_app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
 
 Reference = Annotated[

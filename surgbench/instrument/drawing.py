@@ -35,12 +35,12 @@ _LIGHT = np.array([-0.35, -0.55, -0.76])
 _FINER = 2  # each pixel is drawn as this many by this many
 
 
-def posed(instrument: Instrument, joints: Sequence[float]) -> tuple[FloatArray, NDArray[np.intp]]:
+def posed(instrument: Instrument, joints: FloatArray) -> tuple[FloatArray, NDArray[np.intp]]:
     """Its triangles in the wrist-pitch frame.
 
     Args:
         instrument: It.
-        joints: Wrist pitch, wrist yaw and half jaw angle, radians.
+        joints: ``(3,)``: wrist pitch, wrist yaw and half jaw angle, radians.
 
     Returns:
         ``(F, 3, 3)`` corners, metres, and ``(F,)`` the number of each triangle's link.
@@ -160,7 +160,7 @@ def resting(instrument: Instrument) -> FloatArray:
     return joints
 
 
-def span(instrument: Instrument, joints: Sequence[float], view: FloatArray) -> tuple[FloatArray, FloatArray]:
+def span(instrument: Instrument, joints: FloatArray, view: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Least and most of what is drawn, to the right and down, metres."""
     points = posed(instrument, joints)[0].reshape(-1, 3) @ view.T
     return points[:, :2].min(axis=0), points[:, :2].max(axis=0)

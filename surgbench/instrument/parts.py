@@ -298,8 +298,8 @@ class Jaw(Section):
         share = (place_m - self.from_m) / (self.length_m - self.from_m)
         told = {}
         for name in Measures.model_fields:
-            known = [(station.at, value) for station in self.profile if (value := getattr(station, name)) is not None]
-            told[name] = float(np.interp(share, *zip(*known, strict=True))) if known else 0.0
+            known = {station.at: value for station in self.profile if (value := getattr(station, name)) is not None}
+            told[name] = float(np.interp(share, [*known], [*known.values()])) if known else 0.0
         left = self.length_m - place_m
         if left < self.tip_round_m:
             told["width_m"] *= max(np.sqrt(1 - (1 - left / self.tip_round_m) ** 2), 0.3)

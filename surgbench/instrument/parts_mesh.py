@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from functools import singledispatch
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from surgbench.geometry import FloatArray
 from surgbench.instrument.meshes import edge_defects, signed_volume
@@ -223,7 +224,7 @@ def _bar(part: Bar) -> list[LinkMesh]:
     return [sweep(rings)]
 
 
-def _rounded(centre: Sequence[float], first: Sequence[float], second: Sequence[float], corner_m: float) -> FloatArray:
+def _rounded(centre: ArrayLike, first: ArrayLike, second: ArrayLike, corner_m: float) -> FloatArray:
     """A rectangle, ``(4, 3)``, or one with its corners cut off, ``(8, 3)``: half sides as vectors from its centre."""
     a, b = np.asarray(first, dtype=np.float64), np.asarray(second, dtype=np.float64)
     half_a, half_b = float(np.linalg.norm(a)), float(np.linalg.norm(b))
@@ -231,10 +232,11 @@ def _rounded(centre: Sequence[float], first: Sequence[float], second: Sequence[f
         raise ValueError("a side has no length")
     cut = min(corner_m, 0.6 * half_a, 0.6 * half_b)
     s, t = 1 - cut / half_a, 1 - cut / half_b
-    signs = [(1, -1), (1, 1), (-1, 1), (-1, -1)]
+    signs: list[tuple[float, float]] = [(1, -1), (1, 1), (-1, 1), (-1, -1)]
     if cut > 0:
         signs = [(1, -t), (1, t), (s, 1), (-s, 1), (-1, t), (-1, -t), (-s, -1), (s, -1)]
-    return np.asarray(centre, dtype=np.float64) + np.array([u * a + v * b for u, v in signs])
+    ring: FloatArray = np.asarray(centre, dtype=np.float64) + np.array([u * a + v * b for u, v in signs])
+    return ring
 
 
 def sweep(rings: Sequence[FloatArray]) -> LinkMesh:
