@@ -149,12 +149,19 @@ def main() -> int:
         "--shaft-end", type=float, default=SHAFT_END_M, metavar="M",
         help="where the stand-in shaft ends; -0.005 leaves the measured clevis bare (default: %(default)s)",
     )  # fmt: skip
+    parser.add_argument(
+        "--without-shaft", action="store_true", help="wrist and jaws alone: no shaft hides where they differ"
+    )
     parser.add_argument("--picture", type=Path, help="write the six worst states' differences to this PNG")
     options = parser.parse_args()
     try:
         model = load_instrument(options.instrument)
         roll = options.roll or options.meshes / ROLL
         measured = measured_instrument(options.instrument, options.meshes, roll, options.shaft_end)
+        if options.without_shaft:
+            model = model.without_shaft
+            bodies = {link: mesh for link, mesh in measured.meshes.items() if link in model.meshes}
+            measured = Instrument(measured.spec, bodies)
     except SurgbenchError as error:
         print(error, file=sys.stderr)
         return 2
@@ -167,7 +174,8 @@ def main() -> int:
     ious = np.array([ours.score(state[None], reference).iou(reference)[0] for state, reference in pairs])
     worst = np.argsort(ious)[:6]
     print(f"triangles {ours.triangles} (measured meshes {theirs.triangles})")
-    print(f"states {len(states)}, {options.limits} limits, shaft end {options.shaft_end * 1e3:+.2f} mm")
+    shaft = "no shaft" if options.without_shaft else f"shaft end {options.shaft_end * 1e3:+.2f} mm"
+    print(f"states {len(states)}, {options.limits} limits, " + shaft)
     low = np.quantile(ious, 0.05)
     print(f"silhouette IoU: mean {ious.mean():.4f}, minimum {ious.min():.4f}, 5 % quantile {low:.4f}")
     for index in worst:
