@@ -29,7 +29,7 @@ VIEWS: dict[str, FloatArray] = {
 _OPEN_AS = {"wrist_pitch": "along y: pitch", "wrist_yaw": "along x: yaw and jaws"}
 # How much of the shaft is drawn, back from the pitch axis.
 SHAFT_SHOWN_M = 0.018
-_PAPER, _INK, _GREY = (255, 255, 255), (33, 37, 41), (120, 126, 132)
+_INK, _GREY = (33, 37, 41), (120, 126, 132)
 _LINKS = np.array([[134, 142, 150], [173, 181, 189], [120, 144, 156], [206, 212, 218], [190, 203, 216]])
 _LIGHT = np.array([-0.35, -0.55, -0.76])
 _FINER = 2  # each pixel is drawn as this many by this many
