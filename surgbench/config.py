@@ -181,9 +181,18 @@ def _keys_at(model: type[BaseModel], place: tuple[int | str, ...]) -> set[str]:
             field = candidate.model_fields.get(str(part))
             if field is not None:
                 following |= _models_in(field.annotation)
-        # Positions in lists and names of union members lead nowhere new.
-        here = following or here
+        # Positions in lists lead nowhere new, names of union members to that member.
+        tagged = {
+            one for one in here if str(part) in get_args(getattr(one.model_fields.get("kind"), "annotation", None))
+        }
+        here = following or tagged or here
     return {name for candidate in here for name in candidate.model_fields}
+
+
+def _kinds(model: type[BaseModel]) -> tuple[Any, ...]:
+    """What the ``kind`` of a member of a union may be."""
+    kind = model.model_fields.get("kind")
+    return () if kind is None else get_args(kind.annotation)
 
 
 def _models_in(annotation: Any) -> set[type[BaseModel]]:

@@ -22,6 +22,7 @@ from surgbench.cli.generate import generate
 from surgbench.cli.grouped import GroupedCommand
 from surgbench.cli.handeye import handeye
 from surgbench.cli.import_ import import_app
+from surgbench.cli.instrument import INSTRUMENT, instrument_app
 from surgbench.cli.list_ import list_names
 from surgbench.cli.options import field_options, with_options
 from surgbench.cli.report import report
@@ -144,6 +145,7 @@ check_app.command("tracker")(tracker)
 app.add_typer(check_app, name="check")
 app.add_typer(train_app, name="train")
 app.add_typer(convert_app, name="convert")
+app.add_typer(instrument_app, name=INSTRUMENT)
 app.add_typer(bench_app, name="bench")
 
 

@@ -27,7 +27,7 @@ def list_names(
         if what not in FILES:
             raise NotFoundError(unknown_name("list", what, [*(kind.plural for kind in KINDS.values()), *FILES]))
         for name in packaged_names(what):
-            print(name)
+            print(name if what != "instruments" else f"{name:28} {_instrument_line(name)}")
         return
     for name, found in sorted(discover(kind).items()):
         mark = f"[{found.task}] " if kind != "task" and found.task != default_task_name() else ""
@@ -36,3 +36,10 @@ def list_names(
             print(f"  not available here: {found.unavailable}")
         for option, default, meaning in describe(found):
             print(f"  {name}.{option} = {default}" + (f"   {meaning}" if meaning else ""))
+
+
+def _instrument_line(name: str) -> str:
+    from surgbench.instrument import load_instrument
+    from surgbench.instrument.measures import summary
+
+    return summary(load_instrument(name))

@@ -12,9 +12,10 @@ from surgbench.errors import ConfigError
 from surgbench.files import write_atomic
 from surgbench.instrument.meshes import load_mesh
 from surgbench.instrument.model import Instrument, LinkMesh
+from surgbench.instrument.parts_mesh import parts_mesh
 from surgbench.instrument.plausibility import check_instrument
 from surgbench.instrument.shapes import join_meshes, loft_mesh
-from surgbench.instrument.spec import InstrumentSpec, MeshFile
+from surgbench.instrument.spec import InstrumentSpec, Link, MeshFile
 
 INSTRUMENT_FILE = "instrument.yaml"
 
@@ -56,7 +57,7 @@ def save_instrument(instrument: Instrument, folder: Path) -> list[Path]:
     for link in instrument.spec.links:
         mesh = instrument.meshes.get(link.name)
         entry = MeshFile(path=f"{link.name}.ply") if mesh is not None else None
-        links.append(link.model_copy(update={"shapes": (), "mesh": entry}))
+        links.append(link.model_copy(update={"shapes": (), "parts": (), "mesh": entry}))
         if mesh is not None:
             meshes.append((folder / f"{link.name}.ply", mesh))
     spec = instrument.spec.model_copy(update={"links": tuple(links)})
@@ -73,14 +74,31 @@ def _load_file(path: Path) -> Instrument:
     spec = parse_model(InstrumentSpec, read_yaml(path, "instrument"), str(path))
     meshes: dict[str, LinkMesh] = {}
     for link in spec.links:
-        if link.mesh is not None:
-            meshes[link.name] = load_mesh(link.mesh, path.parent, link.name)
-        elif link.shapes:
-            meshes[link.name] = join_meshes([loft_mesh(loft) for loft in link.shapes])
+        mesh = link_body(link, path)
+        if mesh is not None:
+            meshes[link.name] = mesh
     if not meshes:
-        raise ConfigError(f"{path}: 'links': no link has 'shapes' or a 'mesh'")
+        raise ConfigError(f"{path}: 'links': no link has 'shapes', 'parts' or a 'mesh'")
     check_instrument(spec, meshes, path)
     return Instrument(spec, meshes)
+
+
+def link_body(link: Link, path: Path) -> LinkMesh | None:
+    """The body of one link of an instrument file, ``None`` where it has none.
+
+    Raises:
+        ConfigError: It is not closed, or its mesh cannot be read; the message names file and link.
+    """
+    if link.mesh is not None:
+        return load_mesh(link.mesh, path.parent, link.name)
+    if link.shapes:
+        return join_meshes([loft_mesh(loft) for loft in link.shapes])
+    if not link.parts:
+        return None
+    try:
+        return parts_mesh(link.parts)
+    except ValueError as error:
+        raise ConfigError(f"{path}: link '{link.name}': {error}") from None
 
 
 def _ply_bytes(mesh: LinkMesh) -> bytes:

@@ -149,6 +149,16 @@ def load_mesh(entry: MeshFile, folder: Path, link: str) -> LinkMesh:
     return LinkMesh(vertices, faces)
 
 
+def faces_inward(entry: MeshFile, folder: Path, link: str) -> bool:
+    """Whether a mesh file, as it stands, is turned inside out: its volume is negative. For whoever looks at the file.
+
+    Raises:
+        ConfigError: It cannot be read.
+    """
+    vertices, faces = _read(folder / entry.path, link)
+    return signed_volume(vertices - vertices.mean(axis=0), faces) < 0
+
+
 def _read(path: Path, link: str) -> tuple[FloatArray, Faces]:
     import trimesh
 

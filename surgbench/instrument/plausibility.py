@@ -6,6 +6,9 @@ what cannot be is refused, with the key that makes it right.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from functools import partial
+
 import numpy as np
 
 from surgbench.errors import ConfigError
@@ -33,18 +36,32 @@ def check_instrument(spec: InstrumentSpec, meshes: dict[str, LinkMesh], path: ob
     Raises:
         ConfigError: A body, an offset or a tip cannot be where it is said to be; one line that says what would help.
     """
+    for problem in problems(spec, meshes, path):
+        raise ConfigError(problem)
+
+
+def problems(spec: InstrumentSpec, meshes: dict[str, LinkMesh], path: object) -> Iterator[str]:
+    """Why it cannot be an instrument in metres, a line each; see :func:`check_instrument`."""
+    checks: list[Callable[[], None]] = []
     for link in spec.links:
-        _check_offsets(link, path)
+        checks.append(partial(_check_offsets, link, path))
         if link.name in meshes:
-            _check_size(link, meshes[link.name], path)
-    for number, tip in enumerate(spec.tips, start=1):
-        _check_tip(number, tip, meshes, path)
-    for marker in spec.markers:
-        if not on_body(marker, meshes):
-            raise ConfigError(
-                f"{path}: marker '{marker.name}' is further than its radius off the body of link "
-                f"'{marker.point.link}'; 'point_m' is metres in the link's frame"
-            )
+            checks.append(partial(_check_size, link, meshes[link.name], path))
+    checks += [partial(_check_tip, number, tip, meshes, path) for number, tip in enumerate(spec.tips, start=1)]
+    checks += [partial(_check_marker, marker, meshes, path) for marker in spec.markers]
+    for check in checks:
+        try:
+            check()
+        except ConfigError as error:
+            yield str(error)
+
+
+def _check_marker(marker: Marker, meshes: dict[str, LinkMesh], path: object) -> None:
+    if not on_body(marker, meshes):
+        raise ConfigError(
+            f"{path}: marker '{marker.name}' is further than its radius off the body of link "
+            f"'{marker.point.link}'; 'point_m' is metres in the link's frame"
+        )
 
 
 def _check_offsets(link: Link, path: object) -> None:
@@ -63,14 +80,14 @@ def _check_size(link: Link, mesh: LinkMesh, path: object) -> None:
     scale = 1.0 if link.mesh is None else link.mesh.scale
     if extent[2] > LONGEST_M or extent[1] > THICKEST_M:
         if link.mesh is None:
-            raise ConfigError(f"{about}, too large for an instrument; 'at_m' and 'radii_m' are metres")
+            raise ConfigError(f"{about}, too large for an instrument; all its lengths are metres")
         raise ConfigError(
             f"{about}, too large for an instrument; if {link.mesh.path} is in millimetres, set "
             f"'scale: {scale / 1000:g}' under its 'mesh'"
         )
     if extent[2] < SMALLEST_M:
         if link.mesh is None:
-            raise ConfigError(f"{about}, too small to be seen; 'at_m' and 'radii_m' are metres")
+            raise ConfigError(f"{about}, too small to be seen; all its lengths are metres")
         raise ConfigError(
             f"{about}, too small to be seen; if {link.mesh.path} is in metres, set 'scale: {scale * 1000:g}' under its "
             "'mesh'"
@@ -118,6 +135,11 @@ def distance_to_body(mesh: LinkMesh, point: FloatArray) -> float:
     nearest = float(np.linalg.norm(mesh.vertices_m - point, axis=1).min())
     if nearest <= TIP_TOLERANCE_M:
         return nearest  # near enough as it is: no need of a library that takes long to load
+    return exact_distance_to_body(mesh, point)
+
+
+def exact_distance_to_body(mesh: LinkMesh, point: FloatArray) -> float:
+    """How far a point is from a closed body, metres; 0 inside. Takes longer than :func:`distance_to_body`."""
     import trimesh
     from trimesh.proximity import closest_point_naive
 

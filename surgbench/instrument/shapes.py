@@ -68,13 +68,13 @@ def loft_mesh(loft: Loft) -> LinkMesh:
         faces.append(np.stack([low + here, low + there, high + there], axis=1))
         faces.append(np.stack([low + here, high + there, high + here], axis=1))
     # Caps as strips across the polygon rather than fans: fewer needle-like triangles.
-    cap = np.array(_strip(sides))
+    cap = np.array(strip(sides))
     faces.append(cap[:, ::-1])
     faces.append(cap + (count - 1) * sides)
     return LinkMesh(round_vertices(vertices.reshape(-1, 3)), np.concatenate(faces).astype(np.int32))
 
 
-def _strip(sides: int) -> list[tuple[int, int, int]]:
+def strip(sides: int) -> list[tuple[int, int, int]]:
     """Triangles of a convex polygon with corners 0 … sides - 1, counter-clockwise."""
     triangles, low, high = [], 0, sides - 1
     while high - low > 1:

@@ -9,6 +9,7 @@ import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from surgbench.config import Finite, Section
+from surgbench.instrument.parts import Part
 from surgbench.state import Symmetry
 
 Range = tuple[Finite, Finite]
@@ -99,12 +100,14 @@ class Link(Section):
     joint: JointName | None = None
     joint_scale: Finite = 1.0
     shapes: tuple[Loft, ...] = ()
+    parts: tuple[Part, ...] = ()
     mesh: MeshFile | None = None
 
     @model_validator(mode="after")
     def _one_geometry(self) -> Link:
-        if self.mesh is not None and self.shapes:
-            raise ValueError(f"link '{self.name}' has both 'shapes' and 'mesh'; give one")
+        given = [key for key in ("shapes", "parts", "mesh") if getattr(self, key)]
+        if len(given) > 1:
+            raise ValueError(f"link '{self.name}' has both '{given[0]}' and '{given[1]}'; give one")
         return self
 
 
@@ -155,10 +158,33 @@ class Joint(Section):
         return self
 
 
+class Model(Section):
+    """One of the model numbers that an instrument is sold under: what differs between the generations of the robot.
+
+    Attributes:
+        number: The manufacturer's.
+        generation: The robots that take it.
+        roll_d_m: From the arm's remote centre of motion at no insertion to the pitch axis, DH's d of the roll joint.
+        wrist_pitch_rad: What the robot's software allows.
+        wrist_yaw_rad: Likewise.
+        jaw_rad: Likewise, of the whole opening, twice the joint ``jaw``; below 0 the jaws are pressed together.
+        coupling: Joints (roll, wrist pitch, wrist yaw, jaw) from the angles of the four drives, rows of the matrix.
+    """
+
+    number: str
+    generation: str
+    roll_d_m: Annotated[float, Field(gt=0, allow_inf_nan=False)]
+    wrist_pitch_rad: Range | None = None
+    wrist_yaw_rad: Range | None = None
+    jaw_rad: Range | None = None
+    coupling: tuple[tuple[Finite, ...], ...] | None = None
+
+
 class InstrumentSpec(Section):
     """An instrument file. See ``docs/instruments.md`` for a commented example.
 
     Attributes:
+        models: The model numbers that it stands for; nothing is computed from them.
         observable: What can be seen of its state besides where it is and points; errors of anything else are not
             scored. ``None``: the joints that move a body or a tip, and the roll unless the body is round.
         symmetry: What makes it look the same. ``None``: ``axis`` where the roll cannot be seen, else ``twin``.
@@ -170,6 +196,7 @@ class InstrumentSpec(Section):
     name: Annotated[str, Field(pattern=r"^[a-z0-9_]+$")]
     title: str
     sources: tuple[str, ...] = ()
+    models: tuple[Model, ...] = ()
     joints: dict[JointName, Joint]
     links: Annotated[tuple[Link, ...], Field(min_length=1)]
     tips: Annotated[tuple[LinkPoint, ...], Field(min_length=1, max_length=2)]

@@ -133,11 +133,13 @@ def test_a_strangers_tracker_is_run_where_it_is_named(
     surgbench(*ask)
     said = capsys.readouterr()
     assert "fits as far as could be seen: 4 scored again, 0 run again, 1 unknown" in said.out
-    assert "run again: unknown: tracker 'still' cannot be run here; where it is: --tracker still=FILE.py:Class" in said.err
+    assert (
+        "run again: unknown: tracker 'still' cannot be run here; where it is: --tracker still=FILE.py:Class" in said.err
+    )
     surgbench(*ask, "--tracker", f"still={STRANGERS}:Still")
     assert "fits: 4 scored again, 1 run again" in capsys.readouterr().out
     surgbench(*ask, "--tracker", f"still={STRANGERS}:Noisy")
-    assert "tracker 'still' has another source here" in capsys.readouterr().err
+    assert "is not the tracker 'still' that was run (its code is " in capsys.readouterr().err
     surgbench(*ask, "--tracker", "still", expect=2)
     assert "--tracker still: must be NAME=FILE.py:Class" in capsys.readouterr().err
 

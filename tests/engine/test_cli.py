@@ -33,6 +33,8 @@ COMMANDS = [
     ("train", "keypoints"),
     ("convert", "sam2"),
     ("check", "tracker"),
+    ("instrument", "show"),
+    ("instrument", "check"),
 ]
 
 
@@ -67,6 +69,7 @@ def test_the_many_options_of_a_run_stand_in_groups(capsys: pytest.CaptureFixture
         ("run --masks colour", ["colour-edge"]),
         ("reproduce tele", ["teleoperation"]),
         ("check tracker gaz", ["gaze"]),
+        ("instrument show cad", ["cadiere_forceps"]),
     ],
 )
 def test_the_shell_completes_names(

@@ -374,7 +374,7 @@ def test_instrument_without_bodies_is_refused(tmp_path: Path) -> None:
     del spec["links"][0]["mesh"]
     path = tmp_path / "mine.yaml"
     path.write_text(yaml.safe_dump(spec))
-    with pytest.raises(ConfigError, match="no link has 'shapes' or a 'mesh'"):
+    with pytest.raises(ConfigError, match="no link has 'shapes', 'parts' or a 'mesh'"):
         load_instrument(path)
 
 
