@@ -127,7 +127,13 @@ def recorded(dataset: Path, out: Path, **noise_m: float) -> Path:
         content["frames"]["state"] = content["frames"]["start"] = states.tolist()
         content["errors"]["jitter"] = [0.5]
         content["errors"] |= judged_columns(
-            opened.sequences[0], (ARM,), states[:, None], np.ones(FRAMES, dtype=bool), "none", {}
+            opened.sequences[0],
+            (ARM,),
+            (opened.instrument(opened.sequences[0].entry.instruments[ARM]),),
+            states[:, None],
+            np.ones(FRAMES, dtype=bool),
+            "none",
+            {},
         )
         write(out, content | {"dataset_path": str(dataset), "settings_hash": f"{index}" * 16})
     return out

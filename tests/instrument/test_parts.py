@@ -26,7 +26,7 @@ WRIST = {
     "belly_m": 0.0051, "tongue_width_m": 0.0055, "tongue_depth_m": 0.002, "slot_m": 0.0039, "slot_depth_m": 0.003,
     "end_width_m": 0.0045,
 }  # fmt: skip
-JAW = {
+JAW: dict[str, Any] = {
     "kind": "jaw", "side": "left", "from_m": 0.002, "length_m": 0.02,
     "profile": [{"at": 0, "width_m": 0.005, "thickness_m": 0.0015}, {"at": 1, "width_m": 0.004, "gap_m": 0.0002}],
 }  # fmt: skip
@@ -165,8 +165,9 @@ def test_show_draws_a_picture(name: str, tmp_path: Path) -> None:
     out = tmp_path / "tool.png"
     surgbench("instrument", "show", name, "--out", out)
     picture = cv2.imread(str(out))
+    assert picture is not None
     assert picture.shape[1] == 1500
-    assert 0.5 < (picture == 255).mean() < 0.98
+    assert 0.5 < np.mean(picture == 255) < 0.98
 
 
 def test_show_takes_a_file_and_asks_for_a_png(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -113,7 +113,8 @@ def test_a_hand_eye_transform_goes_by_it(symmetry: Symmetry) -> None:
     arm = rigid_transform(rotation_from_vector(0.5 * rng.standard_normal((60, 3))), 0.03 * rng.standard_normal((60, 3)))
     T_cam_base = rigid_transform(rotation_from_vector(np.array([0.3, -1.0, 0.4])), np.array([0.02, -0.01, 0.15]))
     about = np.zeros((60, 3))
-    about[:, 2] = {"twin": np.pi * (np.arange(60) % 2), "none": 0.0, "axis": rng.uniform(-3, 3, 60)}[symmetry]
+    angles = {"twin": np.pi * (np.arange(60) % 2), "none": np.zeros(60), "axis": rng.uniform(-3, 3, 60)}
+    about[:, 2] = angles[symmetry]
     turn = rigid_transform(rotation_from_vector(about), np.zeros((60, 3)))
     tracked = T_cam_base @ arm @ turn
     found = robust_fit(tracked, arm, NOMINAL, symmetry)

@@ -19,6 +19,7 @@ from surgbench.reproduce.results import RECORDS, BlockWork
 from surgbench.reproduce.table import Picture, Table
 from surgbench.state import ANGLES, STATE_SIZE, Symmetry
 from surgbench.tasks.instrument.dataset import InstrumentDataset
+from surgbench.tasks.instrument.format import Arm
 from surgbench.tasks.instrument.records import InstrumentRecord
 
 if TYPE_CHECKING:
@@ -104,8 +105,8 @@ def _figure(dataset: InstrumentDataset, wanted: Picture, lines: list[Line]) -> F
 
     spec = lines[0].record.spec
     sequence = dataset.sequence(spec.sequence)
-    arm = spec.arms[0]
-    truth = sequence.states("left" if arm == "left" else "right")
+    arm: Arm = "left" if spec.arms[0] == "left" else "right"
+    truth = sequence.states(arm)
     assert truth is not None
     frames = max(len(line.record.frames.state) for line in lines)
     symmetry = dataset.instrument(sequence.entry.instruments[arm]).symmetry

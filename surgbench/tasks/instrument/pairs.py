@@ -102,9 +102,14 @@ def exchanged_readings(data: UnitData, states: FloatArray, lost: NDArray[np.bool
         errors = []
         for place, (instrument, other) in enumerate(zip(data.instruments, order, strict=True)):
             own, read = ~lost[:, place], readings[other]
-            joints = (states[own, place], read[: len(states)][own])
-            told = (instrument.search_limits, instrument.observed, instrument.symmetry)
-            errors.append(reference_joint_errors(*joints, *told)[:, :2].ravel())
+            found = reference_joint_errors(
+                states[own, place],
+                read[: len(states)][own],
+                instrument.search_limits,
+                instrument.observed,
+                instrument.symmetry,
+            )
+            errors.append(found[:, :2].ravel())
         known = np.concatenate(errors)
         known = known[np.isfinite(known)]
         return float(known.mean()) if known.size else 0.0
