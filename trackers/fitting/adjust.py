@@ -89,7 +89,7 @@ def adjust(
         shared, pull = np.diag([*np.where(free, 1.0, 1e12), 1.0 / OFFSET_PX**2]), np.zeros(m + 1)
         pull[:m] = np.where(free, (begin - factors) / scale[STATE_SIZE:], 0.0)
         pull[m] = -offset / OFFSET_PX**2
-        kept = []
+        kept: list[FloatArray | None] = []
         for k, mask in enumerate(masks):
             contour = evaluator.contour_points(states[k], SPACING_PX)
             if not len(contour.arm):

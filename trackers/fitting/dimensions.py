@@ -221,7 +221,8 @@ class Dimensions:
         spec, change = self.instrument.spec, np.asarray(factors) - 1.0
 
         def moved(link: int, points_m: FloatArray) -> FloatArray:
-            return points_m + np.einsum("nmi,m->ni", self.growth(link, points_m), change)
+            grown: FloatArray = np.einsum("nmi,m->ni", self.growth(link, points_m), change)
+            return points_m + grown
 
         def point(one: LinkPoint) -> LinkPoint:
             x, y, z = moved(self.instrument.link_index[one.link], np.array([one.point_m]))[0].tolist()
@@ -257,4 +258,5 @@ def _hats(share: FloatArray) -> FloatArray:
     low, middle, high = STATIONS
     inner = np.clip((share - low) / (middle - low), 0.0, 1.0)
     outer = np.clip((share - middle) / (high - middle), 0.0, 1.0)
-    return np.stack([1.0 - inner, inner - outer, outer], axis=1)
+    hats: FloatArray = np.stack([1.0 - inner, inner - outer, outer], axis=1)
+    return hats
