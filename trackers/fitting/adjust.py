@@ -115,17 +115,17 @@ def adjust(
                 H[JOINTS, JOINTS] += np.diag(weight)
                 away = np.where(read, joints[k] - states[k][JOINTS], 0.0)
                 g[JOINTS] += weight * away / STATE_SCALE[JOINTS]
-            solved = np.linalg.solve(H, np.column_stack([A[own, rest], g]))
+            solved = np.asarray(np.linalg.solve(H, np.column_stack([A[own, rest], g])), dtype=np.float64)
             shared += A[rest, rest] - A[rest, own] @ solved[:, :-1]
             pull += b[rest] - A[rest, own] @ solved[:, -1]
             kept.append(solved)
         step = np.linalg.solve(shared, pull)
         factors = np.clip(factors + step[:m] * scale[STATE_SIZE:] * free, LEAST_FACTOR, MOST_FACTOR)
         offset += float(step[m])
-        for k, solved in enumerate(kept):
-            if solved is None:
+        for k, own_part in enumerate(kept):
+            if own_part is None:
                 continue
-            move = solved[:, -1] - solved[:, :-1] @ step
+            move = own_part[:, -1] - own_part[:, :-1] @ step
             move *= min(1.0, LONGEST / max(float(np.abs(move).max()), LONGEST))
             states[k] = clip_joints(states[k] + move * STATE_SCALE, limits)
         progress(done + 1)
