@@ -1,0 +1,1 @@
+"""Bodies of instruments fitted to masks of a recording, together with the poses."""
